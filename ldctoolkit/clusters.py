@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from typing import Final, Literal
+from typing import Final, Literal, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -48,7 +48,8 @@ class Clusters(ReadOnly):
 
     @classmethod
     def of(cls, departures: DepartureParameters) -> Clusters:
-        """The drivers of n departures where there are at least 10, or else their trips, or else each by itself.
+        """The drivers of n departures where there are at least 10 or trips are not known, or else their trips, or else
+        each departure by itself.
 
         A trip is a recording (stretches of one whose clock starts again, ``"a (2)"``, are of one trip); a driver is an
         entry of the column ``driver``. Either counts if it is known of all departures.
@@ -60,16 +61,16 @@ class Clusters(ReadOnly):
     def of_names(
         cls, n: int, recording: npt.NDArray[np.str_] | None, driver: npt.NDArray[np.generic] | None = None
     ) -> Clusters:
-        """The same of n departures whose recordings and drivers have these names (n,)."""
-        if recording is None or n == 0 or (recording == "").any():
-            return cls("departures", np.arange(n))
-        trip, trips = _numbered(np.array([re.sub(r" \(\d+\)$", "", name) for name in recording.tolist()]))
-        largest = float(np.bincount(trip).max()) / n
-        by_driver, drivers = trip, 0
-        if driver is not None and (driver.astype(np.str_) != "").all():
+        """The same of n departures whose recordings and drivers have these names (n,), or drivers these numbers."""
+        trip = by_driver = np.arange(n)
+        trips, drivers, largest = 0, 0, 0.0
+        if _all_known(recording):
+            trip, trips = _numbered(np.array([re.sub(r" \(\d+\)$", "", name) for name in recording.tolist()]))
+            largest = float(np.bincount(trip).max()) / n
+        if _all_known(driver):
             by_driver, drivers = _numbered(driver.astype(np.str_))
         known = (trips, drivers, largest)
-        if drivers >= FEWEST_DRIVERS:
+        if drivers >= (FEWEST_DRIVERS if trips else 2):
             return cls("drivers", by_driver, *known)
         if trips < 2:  # what differs between trips cannot be seen
             return cls("departures", np.arange(n), *known)
@@ -102,6 +103,13 @@ class Clusters(ReadOnly):
         """The clusters of chosen departures, numbered anew; what is known of all of them stays."""
         index, _ = _numbered(self.index[np.asarray(rows)])
         return dataclasses.replace(self, index=index)
+
+
+def _all_known(names: npt.NDArray[np.generic] | None) -> TypeGuard[npt.NDArray[np.generic]]:
+    """Whether there are names, and none is empty or NaN."""
+    if names is None or not names.size:
+        return False
+    return bool((~np.isnan(names) if names.dtype.kind == "f" else names.astype(np.str_) != "").all())
 
 
 def doubt_of(cluster: IntArray | None) -> str:

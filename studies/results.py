@@ -206,7 +206,7 @@ class StudyResults(Frame):
         """Runs in which a design failed, (d, n): a solve failed, it diverged, took too long or crashed."""
         return status_among(self.status, FAILED_STATUSES)
 
-    @property
+    @functools.cached_property
     def unsafe(self) -> tuple[Design, ...]:
         """Designs that ended or held up a worker process: nothing drives them in this process again."""
         rows = status_among(self.status, (EventStatus.CRASHED, EventStatus.TIMED_OUT)).any(axis=1)
@@ -227,9 +227,9 @@ class StudyResults(Frame):
             counted[i, failed[i]] = np.maximum(self.S[i, failed[i]], self.S_uncorrected[i, failed[i]])
         return counted
 
-    @property
+    @functools.cached_property
     def drivable(self) -> BoolArray:
-        """Scenarios that every design could be driven on, (n,)."""
+        """Scenarios that every design could be driven on, (n,). Not to be written into."""
         result: BoolArray = (self.status != EventStatus.INVALID).all(axis=0)
         return result
 

@@ -298,7 +298,7 @@ class RobustnessTask:
     @classmethod
     def of(cls, results: StudyResults, ranking: Ranking, setup: Setup, per_side: int = PER_SIDE) -> RobustnessTask:
         """The task of a study and its ranking."""
-        scenarios = first_of_each_side(results.on_drivable().scenarios, per_side)
+        scenarios = first_of_each_side(results.scenarios.take(results.drivable), per_side)
         has_residuals = bool((scenarios.sigma_y > 0).any() or (scenarios.sigma_v > 0).any())
         study_plant = OtherPlant(
             "study", "Study\u2019s plant", "the plant that designs were ranked on", setup.options, False

@@ -217,7 +217,7 @@ class _Run:
                 ranking = rank_study(results, study)
                 positions = dict.fromkeys(i for i in (ranking.winner, ranking.baseline) if i is not None)
                 designs = [ranking.designs[i] for i in positions]
-                if ranking.winner is None or any(design in results.unsafe for design in designs):
+                if ranking.winner is None or not set(results.unsafe).isdisjoint(designs):
                     return results
             scores = scores_of_refits(
                 study, designs, self.source, folder, self.executor, self.progress, refits=refits,

@@ -32,7 +32,7 @@ def step_times(results: StudyResults, setup: Setup, designs: Sequence[Design], f
         return {}
 
     def measure() -> Arrays:
-        scenarios = results.on_drivable().scenarios
+        scenarios = results.scenarios.take(results.drivable)
         overs = {y_s: Takeover.build(scenarios, setup, y_s=y_s) for y_s in {design.y_s for design in timed}}
         return {design.id: np.array(list(_seconds(design, overs[design.y_s]))) for design in timed}
 

@@ -223,16 +223,16 @@ class Replay:
             usual = dataclasses.replace(usual, w_v=vehicle_width)
         setup = Setup(vehicle=usual)
         driven = np.stack(list(_driven(scenarios, setup, thresholds)))
-        found = _Answer.of(driven, share, np.arange(rows.size))
-        answer, tail = found.answer, 0.5 * (1.0 - CONFIDENCE)
-        point_low, point_high = np.quantile(found.resampled, (tail, 1.0 - tail), axis=0)
-        error = found.resampled.std(axis=0)
-        critical, index = _critical(found.resampled - answer, error), several(clusters.take(rows).numbers)
+        sampled = _Answer.of(driven, share, np.arange(rows.size))
+        answer, tail = sampled.answer, 0.5 * (1.0 - CONFIDENCE)
+        point_low, point_high = np.quantile(sampled.resampled, (tail, 1.0 - tail), axis=0)
+        error = sampled.resampled.std(axis=0)
+        critical, index = _critical(sampled.resampled - answer, error), several(clusters.take(rows).numbers)
         if index is not None:
-            # how designs go together, and tails, are seen in more departures than there are clusters
-            found = _Answer.of(driven, share, index)
-            critical = critical * _tails_of_t(critical, found.df)
-            error = found.factor * found.resampled.std(axis=0)
+            # critical values are those of single departures: clusters are too few to show tails and correlations
+            sampled = _Answer.of(driven, share, index)
+            critical = critical * _tails_of_t(critical, sampled.df)
+            error = sampled.factor * sampled.resampled.std(axis=0)
         ends = _ends(answer, critical * error)
         return cls(setup, thresholds, rows, driven, share, clusters, answer, *ends, point_low, point_high)
 
@@ -245,21 +245,24 @@ class Replay:
     def held_out(self, fitted: BoolArray, generated: DepartureParameters) -> SideFidelity:
         """Departures generated from the `fitted` ones (n,) beside the replay of the others; both are uncertain."""
         mask, clusters = fitted[self.rows], self.clusters.take(self.rows)
-        one, other = (
+        model, replay = (
             _Answer.of(self.driven[:, :, rows], self.share[rows], clusters.take(rows).index, seed)
             for seed, rows in enumerate((mask, ~mask), 1)
         )
         drawn = np.sqrt(1.0 + mask.sum() / generated.n)  # generated departures have an error of their own
-        parts = drawn * one.factor * (one.resampled - one.answer), other.factor * (other.resampled - other.answer)
+        parts = (
+            drawn * model.factor * (model.resampled - model.answer),
+            replay.factor * (replay.resampled - replay.answer),
+        )
         scatter, (first, second) = parts[0] - parts[1], (part.var(axis=0) for part in parts)
-        error, spread = scatter.std(axis=0), first**2 / one.df + second**2 / other.df
+        error, spread = scatter.std(axis=0), first**2 / model.df + second**2 / replay.df
         df = np.divide((first + second) ** 2, spread, out=np.ones_like(error), where=spread > 0.0)
         critical = _critical(scatter, error)
-        ends = _ends(other.answer, critical * _tails_of_t(critical, df) * error)
+        ends = _ends(replay.answer, critical * _tails_of_t(critical, df) * error)
         departures, n = int((~mask).sum()), int(mask.sum())
         text = f"the {departures:,} departures that a model of the other {n:,} has not seen"
         text = "; ".join(filter(None, (text, clusters.take(~mask).doubt)))
-        return self._fidelity(other.answer, *ends, self._generated(generated), text, departures)
+        return self._fidelity(replay.answer, *ends, self._generated(generated), text, departures)
 
     def _fidelity(
         self, answer: FloatArray, low: FloatArray, high: FloatArray, drawn: FloatArray, text: str, n: int | None = None

@@ -287,8 +287,8 @@ def _events(
     beside = f", beside {implausible} that are not plausible" if implausible else ""
     check_enough(rows["left"].size, rows["right"].size, beside)
     events = Events(departures.matrix(), weight, settings.selection["n_jobs"])
-    by_side = {label: Clusters.of(departures.take(own)) for label, own in rows.items()}
-    sides = {label: side_events(events, own, by_side[label], label, settings) for label, own in rows.items()}
+    by_side = {label: Clusters.of(departures.take(chosen)) for label, chosen in rows.items()}
+    sides = {label: side_events(events, rows[label], by_side[label], label, settings) for label in rows}
     if max(side.data.rows for side in sides.values()) > MOST_RECORDED:
         return sides, None
     order = np.concatenate(list(rows.values()))
@@ -513,9 +513,8 @@ class _Judge:
         K, bic = fits.n_components[keep], fits.bic[keep]
         chosen, dropped = choose(bic), ", ".join(map(str, np.setdiff1d(fits.n_components, K)))
         rule = f"the smallest whose BIC lies within {ALLOWANCE:g} of the best"
-        reason = (
-            f"K = {K[chosen]}, {rule} without a component of fewer than {LEAST_IN_COMPONENT} departures (K = {dropped})"
-        )
+        left_out = f"K = {dropped} left out: a component of fewer than {LEAST_IN_COMPONENT} departures"
+        reason = f"K = {K[chosen]}, {rule}; {left_out}"
         models = tuple(fits.models[i] for i in keep)
         return dataclasses.replace(fits, n_components=K, bic=bic, models=models, chosen=chosen, reason=reason)
 

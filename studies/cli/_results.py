@@ -64,7 +64,7 @@ class Judged:
         with progress_bar("ranking", show=show):
             ranking = rank_study(results, study)
         robustness = None
-        if results.designs and results.on_drivable().scenarios.n:
+        if results.designs and results.drivable.any():
             from ..robustness import RobustnessTask, robustness_of, stored_of
 
             with progress_bar("driving the best on other plants", show=show and drive_plants):
@@ -226,8 +226,8 @@ def _summary(judged: Judged) -> dict[str, Any]:
         "lights": {light.name: light.state for light in judgement.lights},
         "binding": [limit.requirement.text for limit in judgement.binding],
         **{
-            name: [{"name": found.gain.name, "value": found.value, "text": found.text} for found in of_sweeps]
-            for name, of_sweeps in (("sweep_ends", judgement.ends), ("blocked", judgement.blocked))
+            name: [{"name": item.gain.name, "value": item.value, "text": item.text} for item in items]
+            for name, items in (("sweep_ends", judgement.ends), ("blocked", judgement.blocked))
         },
         "extended": list(judged.manifest.extended),
     }

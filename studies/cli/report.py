@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> None:
     folder = _folder(args.study)
     store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()
-    rows_of_numbers(results.on_drivable().scenarios, args.departure)  # refused before the work begins
+    rows_of_numbers(results.scenarios.take(results.drivable), args.departure)  # refused before the work begins
     named_designs(results.designs, args.design)
     model = read_model(folder, store.manifest)
     judged = Judged.of(folder, store.manifest, study, results, model=model, drive_plants=not args.no_robustness)

@@ -87,8 +87,8 @@ def run(args: argparse.Namespace) -> None:
     with progress_bar("writing the page"):
         write_risk_page(risk, target / "risk.html", title=study.title or study.name)
     if args.json:
-        known, told = source.provenance.recorded, {"notes": list(risk.notes()), "rows": list(risk.rows())}
-        print(json.dumps({"event": "risk", "n": risk.n, "recorded": known and known.clusters.text} | told))
+        recorded, content = source.provenance.recorded, {"notes": list(risk.notes()), "rows": list(risk.rows())}
+        print(json.dumps({"event": "risk", "n": risk.n, "recorded": recorded and recorded.clusters.text} | content))
         return
     for design in risk.designs[1:] or risk.designs:
         _print_design(risk, design)

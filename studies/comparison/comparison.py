@@ -393,7 +393,7 @@ COLUMNS = (*_NAMES.split(), *_SCORES.split(), *_CHANGED.split(), "failure")
 def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
     """Rows of the CSV file: each design, the winners if there are any, and each failed design."""
     for i in comparison.order:
-        yield {"compared": "design"} | _design_json(comparison, i)
+        yield {"compared": "design"} | _design_row(comparison, i)
     if (winners := comparison.winners) is not None:
         scores = (winners.S_old, winners.S_new, winners.difference)
         ends = (winners.low, winners.high)
@@ -420,7 +420,7 @@ def _row_of(
     return dict(zip(names, (verdict, old.id, new.id, old.label, new.label, *numbers, scenarios), strict=True))
 
 
-def _design_json(comparison: Comparison, i: int) -> dict[str, Any]:
+def _design_row(comparison: Comparison, i: int) -> dict[str, Any]:
     design, S = comparison.designs[i], comparison.S
     scores, changed = (S.S_old[i], S.S_new[i], S.difference[i]), int(S.changed[i])
     return _row_of(str(S.verdict[i]), design, design, scores, (S.low[i], S.high[i]), comparison.shared.n) | {

@@ -139,7 +139,7 @@ def verdict(
     setup = setup or Setup()
     nearest: tuple[int, ...] = ()
     try_next: tuple[str, ...] = ()
-    drivable = results.on_drivable().scenarios
+    drivable = results.scenarios.take(results.drivable)
     recorded = float(beyond_friction(drivable, setup).mean()) if drivable.n else 0.0
     acting = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
     meeting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]

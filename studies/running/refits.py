@@ -112,5 +112,7 @@ def scores_of_refits(
         factor, df = uncertainty(recorded, len(means))
         text, doubt = recorded.clusters.text, recorded.clusters.doubt
     scores = RefitScores(ids, means, refits - len(means), factor, df, refits_key(*key), text, doubt)
+    if math.isfinite(factor) and math.isnan(scores.half_width(scores.S[:, -1], 0.95)):
+        scores = dataclasses.replace(scores, text=f"{scores.failed} of {refits} refits failed")
     write_fields(folder / REFITS_FILE, scores)
     return scores

@@ -155,6 +155,21 @@ def test_a_driver_that_is_missing_somewhere_leaves_the_trips() -> None:
     assert (clusters.kind, clusters.count, clusters.drivers) == ("trips", 12, 0)
 
 
+def test_drivers_are_clusters_where_trips_are_not_known() -> None:
+    drivers = np.array(["b", "a", "b", "c"])
+    clusters = Clusters.of_names(4, None, drivers)
+    assert known(clusters) == ("drivers", [0, 1, 0, 2], 3, 0, 3)
+    assert clusters.numbers.tolist() == [0, 1, 0, 2]
+    assert clusters.doubt == "with 3 trips or drivers only, intervals cannot be trusted"
+    assert Clusters.of_names(4, np.array(["t", "", "t", "t"]), drivers).kind == "drivers"
+
+
+def test_the_number_of_a_driver_that_is_nan_is_not_known() -> None:
+    drivers = np.array([*range(11), np.nan])
+    assert Clusters.of_names(12, np.array([f"t{i}" for i in range(12)]), drivers).kind == "trips"
+    assert Clusters.of_names(11, np.array([f"t{i}" for i in range(11)]), drivers[:11]).kind == "drivers"
+
+
 def test_one_trip_cannot_tell_what_differs_between_trips() -> None:
     clusters = Clusters.of(recorded(["a", "a (2)", "a"] * 6))
     assert (clusters.kind, clusters.count, clusters.trips, clusters.numbers.tolist()) == ("departures", 18, 1, [0] * 18)

@@ -20,7 +20,8 @@ from ldctoolkit.departures import Departures
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.scenario_model import ScenarioModel, fit_scenario_model, load_model
 from ldctoolkit.scenario_model.refit import refit, uncertainty
-from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.ranking.ranking import Ranking, rank_study
+from ldctoolkit.studies.ranking.verdict import more_lines
 from ldctoolkit.studies.results import RefitScores, StudyResults
 from ldctoolkit.studies.storage.store import read_results
 
@@ -228,6 +229,22 @@ def test_a_ranking_with_another_winner_says_that_nothing_is_known(folder: Path) 
     ranking = ldc.rank_study(dataclasses.replace(results, refits=swapped), STUDY)
     assert all(np.isnan(values).all() for values in ends(ranking))
     assert ranking.recordings.text.startswith("not known for this winner")
+
+
+def test_refits_of_which_too_many_fail_say_so(
+    smooth: ScenarioModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(model: ScenarioModel, number: int) -> ScenarioModel:
+        if number < 2:
+            return refit(model, number)
+        raise ModelError("side", "cannot be fitted")
+
+    monkeypatch.setattr("ldctoolkit.studies.running.refits.refit", fails)
+    results = ldc.run_study(STUDY, tmp_path, model=smooth, workers=1, refits=5)
+    assert results.refits is not None
+    assert (results.refits.failed, len(results.refits.S)) == (3, 2)
+    lines = list(more_lines(rank_study(results, STUDY)))
+    assert "What the recordings leave open is not known: 3 of 5 refits failed." in lines
 
 
 def test_a_model_without_recorded_departures_says_so(tmp_path: Path) -> None:
