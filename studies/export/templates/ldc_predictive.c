@@ -534,7 +534,7 @@ static void begin_plan(ldc_state *s)
 /* Sequential quadratic programming: 1 if solved. */
 static int32_t optimise(ldc_state *s)
 {
-    double w[LDC_M];
+    double w[LDC_M] = {0.0};
     double recent[4];
     double step = BOUNDLESS;
     int32_t blind = {{ 3 if sqp.kinds else 0 }};
