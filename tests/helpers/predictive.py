@@ -46,6 +46,16 @@ class Held(Corridor):
     name, move_blocks = "held", 5
 
 
+class Narrow(Held):
+    """Moves that are held while the limits of the angle narrow."""
+
+    name = "narrow"
+
+    def stage(self, x: Any, u: Any, lane: Any, k: Any) -> Stage:
+        limits = [(u.delta, 0.002 * k - HARD[0], HARD[0] - 0.002 * k), (u.change, -HARD[1], HARD[1])]
+        return dataclasses.replace(super().stage(x, u, lane, k), hard=limits)
+
+
 class Three(Corridor):
     """A real-time iteration."""
 

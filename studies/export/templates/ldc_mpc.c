@@ -257,7 +257,12 @@ static int32_t solve(ldc_state *s, ldc_work w[LDC_VARIABLES])
                 first = i;
             }
         }
-        full = ((full > (ROUNDING * along)) && (n < LDC_VARIABLES)) ? (violation(s, bound, to, w) / full) : LDC_W(-1.0);
+        if ((full > (ROUNDING * along)) && (n < LDC_VARIABLES)) {
+            const ldc_work excess = violation(s, bound, to, w); /* may be below 0 by rounding, after a shorter step */
+            full = (excess > LDC_W(0.0)) ? (excess / full) : LDC_W(0.0);
+        } else {
+            full = LDC_W(-1.0);
+        }
         if ((full >= LDC_W(0.0)) && ((first < 0) || (full <= step))) {
             step = full;
             adding = 0;

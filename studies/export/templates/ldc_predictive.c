@@ -19,7 +19,7 @@ int {{ name }}(const double **arg, double **res, int *iw, double *w, int mem);
 #define LIST(...) {__VA_ARGS__}
 
 static const int32_t move_of[LDC_N] = { {{ sqp.move_of|join(", ") }} }; /* the free move of each sample */
-static const int32_t first[LDC_M] = { {{ sqp.first|join(", ") }} }; /* the first sample of each free move */
+static const int32_t first[LDC_M + 1] = { {{ sqp.first|join(", ") }}, LDC_N }; /* the first sample of each free move; the end */
 /* own states at the departure: constant, weights of state and steering angle */
 static const double initially[LDC_OWN + 1][6] = { {{ sqp.initial }}{0.0} };
 /* soft rows: sums of outputs of the horizon, and of accelerations of the samples before it */
@@ -126,13 +126,12 @@ static void drive_held(ldc_state *s)
 {% if sqp.blocks %}
     double command = s->sent[0];
     for (int32_t b = 0; b < LDC_M; b++) {
-        const int32_t end = (b < (LDC_M - 1)) ? first[b + 1] : LDC_N;
         double low = s->guess[first[b]];
         double high = BOUNDLESS;
-        for (int32_t j = first[b]; j < end; j++) { low = clip(s->bound[0][j], low, BOUNDLESS); }
-        for (int32_t j = first[b]; j < end; j++) { high = clip(s->bound[1][j], -BOUNDLESS, high); }
+        for (int32_t j = first[b]; j < first[b + 1]; j++) { low = clip(s->bound[0][j], low, BOUNDLESS); }
+        for (int32_t j = first[b]; j < first[b + 1]; j++) { high = clip(s->bound[1][j], -BOUNDLESS, high); }
         command = clip(clip(low, -BOUNDLESS, high), command + s->bound[2][first[b]], command + s->bound[3][first[b]]);
-        for (int32_t j = first[b]; j < end; j++) { s->guess[j] = command; }
+        for (int32_t j = first[b]; j < first[b + 1]; j++) { s->guess[j] = command; }
     }
 {% endif %}
     drive(s, 0.0);
@@ -468,6 +467,12 @@ static int32_t direction(ldc_state *s, double w[LDC_M])
             s->limit[k][LDC_M + b] = s->bound[2 + k][j] - turn;
             s->limit[2][b + (LDC_M * k)] = FINITE; /* never yields */
         }
+        for (int32_t i = j + 1; i < first[b + 1]; i++) { /* a held move meets the limits of all its samples */
+            s->limit[0][b] = clip(s->bound[0][i] - s->now.U[i], s->limit[0][b], FINITE);
+            s->limit[1][b] = clip(s->bound[1][i] - s->now.U[i], -FINITE, s->limit[1][b]);
+        }
+        good &= ((s->limit[0][b] - s->limit[1][b]) <= PRIMAL) ? 1 : 0;
+        good &= ((s->limit[0][LDC_M + b] - s->limit[1][LDC_M + b]) <= PRIMAL) ? 1 : 0;
         good &= within(s->g[b], FINITE);
         for (int32_t k = 0; k < LDC_M; k++) {
             good &= within(s->H[b][k], FINITE);
@@ -529,7 +534,7 @@ static void begin_plan(ldc_state *s)
 /* Sequential quadratic programming: 1 if solved. */
 static int32_t optimise(ldc_state *s)
 {
-    double w[LDC_M];
+    double w[LDC_M] = {0.0};
     double recent[4];
     double step = BOUNDLESS;
     int32_t blind = {{ 3 if sqp.kinds else 0 }};
