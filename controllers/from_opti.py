@@ -17,7 +17,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
-from ldctoolkit.declared import declared_gains, gain, option
+from ldctoolkit.declared import gain, option
 from ldctoolkit.errors import InputError, UnknownNameError
 from ldctoolkit.vehicle.bicycle import Plant
 
@@ -80,7 +80,7 @@ def from_opti(
     >>> smooth(r=1e3).solver
     'ipopt'
     """
-    name, shared = build.__name__, declared_gains(NonlinearMPC)
+    name, shared = build.__name__, {declared.name: declared for declared in NonlinearMPC.gains()}
     attributes = {"name": name, "title": name.replace("_", " ").capitalize(), "build": staticmethod(build)}
     attributes |= {"options": {solver: dict(options or {})}, "__doc__": build.__doc__ or f"{name}."}
     attributes |= {"__module__": build.__module__, "__qualname__": build.__qualname__}
