@@ -145,6 +145,8 @@ class Recording(ReadOnly):
     heading: FloatArray | None = None
     # (m,) [rad] Steering angle of the road wheels or the steering wheel, positive to the left
     steering: FloatArray | None = None
+    # (m,) [rad] Steering angle that the actuator is told to take, as `steering` is
+    steering_command: FloatArray | None = None
     engaged: BoolArray | None = None  # (m,) True while a system steers, not the driver
     # (m,) True where the source lost samples before this one: nothing is joined or interpolated across
     cut: BoolArray | None = None
@@ -159,7 +161,7 @@ class Recording(ReadOnly):
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
         "t", "lane_offset", "lane_width", "speed", "valid", "curvature", "yaw_rate", "lane", "turn_signal", "heading",
-        "steering", "engaged", "cut", "yaw_rate_measured",
+        "steering", "steering_command", "engaged", "cut", "yaw_rate_measured",
     )  # fmt: skip
 
     def __post_init__(self) -> None:

@@ -89,10 +89,10 @@ GRAVITY: Final = 9.81  # gravitational acceleration [m/s^2]
 REAR_CORNERING_COEFFICIENT: Final = 20.0  # [1/rad] of an axle: lateral force per radian of slip and newton of load
 LOADS_AGREE: Final = 0.01  # share of the mass that two axle loads, weighed and rounded, may miss it by
 _NOTES: Final = {
-    "yaw_inertia": "I_z = m l_f l_r (a dynamic index of 1; passenger cars that were measured have about 0.8 to 1.2: "
-    "Heydinger et al., SAE 1999-01-1336)",
+    "yaw_inertia": "I_z = m l_f l_r, a dynamic index of 1 (usual: 0.8 to 1.2; 0.94, 1.00 and 1.10 in CommonRoad's "
+    "vehicle models, 1.05 in Rajamani)",
     "rear_cornering_coefficient": f"rear axle's cornering stiffness = {REAR_CORNERING_COEFFICIENT:g}/rad times its "
-    "load (usual: 12 to 26; 0.2/deg of a tyre at rated load in Gillespie, chapter 10; 21 in CommonRoad's vehicles)",
+    "load (usual: 12 to 26; 21.9 of the tyres in CommonRoad's vehicle models, 25 in Rajamani; compliance takes some)",
     "steering_ratio": "steering_ratio = 15 (usual: 13 to 18)",
     "width": "w_v = 1.9 m (usual without mirrors: 1.7 to 2.0)",
 }
