@@ -20,7 +20,7 @@ import numpy as np
 import scipy.optimize
 import scipy.signal
 
-from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray, unmasked
 from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import InputError, expect
 from ldctoolkit.numba_internals import OPTIONS
@@ -35,10 +35,12 @@ COLUMNS: Final = ("speed", "yaw_rate", "steering", "steering_command")
 SETTLING: Final = 1.0  # [s] after the begin of a stretch that do not count: the initial state is not known
 FEWEST: Final = 100  # samples that count
 SLOWEST: Final = 3.0  # [m/s] below which the single track does not hold
+LARGEST_GRADIENT: Final = 0.02  # [rad/(m/s^2)] 11 deg/g; cars have -0.002 to 0.008
 LARGEST_A_Y: Final = 4.0  # [m/s^2] up to which tyres are about linear (ISO 4138)
-LEAST_EXPLAINED: Final = 0.8  # share of the measured signal's variance
+LEAST_EXPLAINED: Final = 0.5  # share of the measured signal's variance; less is another channel
 QUANTILE: Final = 1.959964  # of 95 % intervals
 UNLIMITED: Final = 1e3  # [rad/s] a rate that no actuator reaches
+IMMEDIATE: Final = 2e-4  # [s] a shorter lag is none
 FLOORS: Final = {"lag": 0.02, "delay": 0.02, "understeer_gradient": 1e-3}
 """Half widths of intervals that are good enough, however small the value; of the others half of the value is."""
 
@@ -163,7 +165,12 @@ def _recordings(log: Any, channels: str | os.PathLike[str] | None) -> Iterator[R
         names = [str(name) for name in getattr(log, "columns", log)]
         if "t" not in names or not {*COLUMNS} & {*names}:
             raise InputError("log", "of other columns", value=names, allowed=f"t, and of {', '.join(COLUMNS)}")
-        columns = {name: np.asarray(log[name], dtype=np.float64) for name in ("t", *COLUMNS) if name in names}
+        columns = {}
+        for name in ("t", *COLUMNS):
+            try:
+                columns |= {name: np.asarray(unmasked(log[name]), dtype=np.float64)} if name in names else {}
+            except (TypeError, ValueError):
+                raise InputError(f"log[{name!r}]", value=log[name], allowed="numbers") from None
         none = np.full(columns["t"].shape, np.nan)
         columns = {"speed": none, "lane_offset": none, "lane_width": none} | columns
         yield Recording("log", valid=np.ones(none.shape, bool), **columns)
@@ -176,7 +183,9 @@ def _recordings(log: Any, channels: str | os.PathLike[str] | None) -> Iterator[R
 def _samples(
     recordings: Sequence[Recording], names: Sequence[str], ratio: float
 ) -> tuple[FloatArray, BoolArray, BoolArray, list[FloatArray]]:
-    """Times, where a stretch without gaps begins, what counts behind its settling, columns; where all have a value."""
+    """Times, where a stretch without gaps begins, what counts behind its settling, inputs and output; of samples that
+    have all inputs. Missing outputs are interpolated, and do not count.
+    """
     parts: list[FloatArray] = [np.empty((len(names) + 2, 0))]
     absent = {*names}
     for number, recording in enumerate(recordings):
@@ -184,32 +193,35 @@ def _samples(
         columns = {name: x for name in names if (x := getattr(one, name)) is not None and np.isfinite(x).any()}
         absent -= {*columns}
         if len(columns) == len(names):
-            piece = 1e-9 * np.cumsum(np.zeros(one.samples) if one.cut is None else one.cut) + number
-            parts.append(np.stack([one.t, piece, *columns.values()]))
+            cuts = np.zeros(one.samples) if one.cut is None else one.cut
+            parts.append(np.stack([one.t, number + np.cumsum(cuts) / (one.samples + 1.0), *columns.values()]))
     if absent:
         raise _UntoldError(problem=f"the log has no {' and no '.join(name for name in names if name in absent)}")
     table = np.concatenate(parts, axis=1)
-    table = table[:, (np.abs(table[2:]) < LARGEST).all(axis=0)]
+    table[2:][np.abs(table[2:]) >= LARGEST] = np.nan
+    whole = np.isfinite(table[2:-1]).all(axis=0)
     if names[0] == "speed":
-        table = table[:, table[2] > SLOWEST]
+        whole &= table[2] > SLOWEST
+    table = table[:, whole]
     table = table[:, np.append(True, (np.diff(table[0]) > 0.0) | (np.diff(table[1]) > 0.0))[: table.shape[1]]]
-    t, piece, *values = table
+    t, piece, *columns_in, output = table
     step, joined = np.diff(t), np.diff(piece) == 0.0
     new = np.append(True, ~joined | (step > 5.0 * np.median(step[joined]) if joined.any() else True))[: t.size]
-    use = t - t[np.flatnonzero(new)[np.cumsum(new) - 1]] >= SETTLING
+    use = np.isfinite(output) & (t - t[np.flatnonzero(new)[np.cumsum(new) - 1]] >= SETTLING)
     if (count := np.count_nonzero(use)) < FEWEST:
-        what = f"{count} samples have {', '.join(names)} at {SETTLING:g} s or more behind the last gap"
-        raise _UntoldError(problem=f"{what}; needed: {FEWEST}")
+        what = f"{count} samples have {', '.join(names)}, {SETTLING:g} s or more behind a gap"
+        slow = f", at more than {SLOWEST:g} m/s" if names[0] == "speed" else ""
+        raise _UntoldError(problem=f"{what}{slow}; needed: {FEWEST}")
+    output = np.interp(np.arange(t.size), np.flatnonzero(np.isfinite(output)), output[np.isfinite(output)])
+    values = [*columns_in, output]
     for name, value in zip(names, values, strict=True):
         if name != "speed" and np.ptp(value[use]) == 0.0:
             raise _UntoldError(problem=f"{name} never moves")
-    columns_in = (
-        value / ratio if name.startswith("steering") else value for name, value in zip(names, values, strict=True)
-    )
-    return t, new, use, list(columns_in)
+    scale = (ratio if name.startswith("steering") else 1.0 for name in names)
+    return t, new, use, [value / size for value, size in zip(values, scale, strict=True)]
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(**OPTIONS, cache=True)
 def _wheel(t, new, command, begin, lag, delay, rate):
     """Wheel angle of an actuator: d delta/dt = (u - delta)/lag, cut off at rate; the command is held between samples.
 
@@ -229,11 +241,14 @@ def _wheel(t, new, command, begin, lag, delay, rate):
             far -= np.sign(far) * rate * ramp
             x = command[j] - far * np.exp(-(end - now - ramp) / lag)
             now = end
+        while lag < IMMEDIATE and rate > 0.5 * UNLIMITED and j < i and t[j + 1] + delay <= t[i] + IMMEDIATE:
+            j += 1
+            x = command[j]
         out[i] = x
     return out
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(**OPTIONS, cache=True)
 def _yaw_rate(t, new, v, delta, begin, c_f, c_r, l_f, l_r, k2):
     """Yaw rate of the single track by the midpoint rule; speed and wheel angle are straight lines between samples.
 
@@ -316,9 +331,8 @@ class _Fit:
             covariance[: lags + 1] * (1.0 - np.arange(lags + 1) / (lags + 1.0)) * np.append(1.0, np.full(lags, 2.0))
         )
         estimates = []
-        for (name, unit), value, gone, weights in zip(
-            units.items(), derived(self.x), lost, (toward[:, keep] / size[keep]) @ left[:, keep].T, strict=True
-        ):
+        influence = (toward[:, keep] / size[keep]) @ left[:, keep].T
+        for (name, unit), value, gone, weights in zip(units.items(), derived(self.x), lost, influence, strict=True):
             products = scipy.signal.correlate(weights, weights, method="fft")[n - 1 :][: lags + 1]
             half = np.inf if gone else QUANTILE * float(np.sqrt(max(window @ products, 0.0)))
             if half <= 0.5 * abs(value) + FLOORS.get(name, 0.0):
@@ -342,24 +356,36 @@ def _actuator(
         wheel: FloatArray = _wheel(t, new, command, begin, lag, delay, np.exp(log_rate))
         return factor * wheel[use] + offset
 
-    ahead = max(1, round(0.1 / float(np.median(np.diff(t)))))
+    dt = float(np.median(np.diff(t)))
+    ahead = max(1, round(0.1 / dt))
     slope = np.quantile(np.abs(measured[ahead:] - measured[:-ahead]) / np.abs(t[ahead:] - t[:-ahead]), 0.99)
+    grid = [(lag, delay) for delay in (0.01, 0.05, 0.15, 0.4) for lag in (0.02, 0.1, 0.4)]
+    late = [(0.5 * IMMEDIATE, delay) for delay in np.arange(0.0, 1.0, dt)]
     starts = [
-        [[lag, delay, 1.0, 0.0, np.log(rate)] for delay in (0.01, 0.05, 0.15, 0.4) for lag in (0.02, 0.1, 0.4)]
-        for rate in (UNLIMITED, max(slope, 2e-3))
+        [[*times, factor, 0.0, np.log(rate)] for times in row for factor in (1.0, -1.0)]
+        for row, rate in ((late, UNLIMITED), (grid, UNLIMITED), (grid, max(slope, 2e-3)))
     ]
-    bounds = [1e-4, 0.0, -np.inf, -np.inf, np.log(1e-3)], [5.0, 2.0, np.inf, np.inf, np.log(UNLIMITED) + 1.0]
+    bounds = (
+        [0.25 * IMMEDIATE, -IMMEDIATE, -np.inf, -np.inf, np.log(1e-3)],
+        [5.0, 2.0, np.inf, np.inf, np.log(UNLIMITED) + 1.0],
+    )
     fit, note = _Fit.of(model, measured[use], starts, bounds, "measured wheel angle")
     if abs(fit.x[2] - 1.0) > 0.2:
         what = f"the measured angle is {fit.x[2]:.3g} times the command"
         raise _UntoldError(problem=f"{what}: another unit, ratio or sign?")
     notes.append(note)
     lag, delay, rate = fit.estimates(ACTUATOR, lambda x: [x[0], x[1], x[2] * np.exp(x[4])])
-    if fit.x[4] > np.log(0.5 * UNLIMITED):
+    if fit.x[0] < dt:  # what happens between two samples is not seen
+        times = np.maximum(fit.x[:2] * (fit.x[:2] > 1e-3), 0.0)
+        lag, delay = (
+            dataclasses.replace(
+                one, value=float(time), interval=(max(float(time) - dt, 0.0), float(time) + dt), reason=""
+            )
+            for one, time in zip((lag, delay), times, strict=True)
+        )
+    if np.array_equal(model(*fit.x), model(*fit.x[:4], np.log(UNLIMITED))):
         fastest = np.max(np.abs(np.diff(model(*fit.x)) / np.diff(t[use])))
         rate = dataclasses.replace(rate, reason=f"never reached: the wheel turned at up to {fastest:.2g} rad/s")
-    if lag.value is not None and lag.value < 1e-3:
-        lag = dataclasses.replace(lag, value=0.0)
     return [lag, delay, rate]
 
 
@@ -377,14 +403,15 @@ def _dynamics(
     beyond, use = np.count_nonzero(use & ~linear), use & linear
     if np.count_nonzero(use) < FEWEST:
         raise _UntoldError(problem=f"nearly all is above {LARGEST_A_Y:g} m/s^2, where tyres are not linear")
-    curvature = r[use] / v[use]
+    curvature, angle = r[use] / v[use], delta[use] - np.mean(delta[use])
     curvature -= curvature.mean()
-    length = float(curvature @ delta[use] / max(float(curvature @ curvature), 1e-300))  # about wheelbase + K v^2
-    if length < 0.0:
+    length = float(curvature @ angle / max(float(curvature @ curvature), 1e-300))  # about wheelbase + K v^2
+    if curvature @ angle < -0.5 * np.sqrt((curvature @ curvature) * (angle @ angle)):
         raise _UntoldError(problem="the yaw rate turns against the wheel angle: one of them is positive to the right")
-    if not 0.5 < length < 20.0:
+    other = ": that of the steering wheel (steering_ratio), or another unit?"
+    if length > 20.0:
         what = f"the wheel angle is {length:.3g} m times the curvature of the path (cars: 2 to 8)"
-        raise _UntoldError(problem=f"{what}: that of the steering wheel (steering_ratio), or another unit?")
+        raise _UntoldError(problem=f"{what}{other}")
 
     def single_track(x: FloatArray) -> tuple[float, ...]:
         # the yaw rate hardly shows where the centre of gravity is, and not at all at a dynamic index of 1
@@ -414,8 +441,16 @@ def _dynamics(
     fit, note = _Fit.of(model, r[use], [[start]], (low, high), "yaw rate")
     notes.append(note + (f"; {beyond:,} above {LARGEST_A_Y:g} m/s^2 do not count" if beyond else ""))
     estimates = fit.estimates(SINGLE_TRACK if vehicle is None else STIFFNESSES, derived)
+    gradient = derived(fit.x)[0]
+    if not abs(gradient) < LARGEST_GRADIENT:
+        raise _UntoldError(problem=f"the wheel angle would grow by {gradient:.2g} rad a m/s^2{other}")
+    ahead = max(1, round(0.25 / float(np.median(np.diff(t)))))
+    noise = 0.6 * float(np.median(np.abs(np.diff(delta, 2))))  # standard deviation, as second differences show it
+    if vehicle is not None and np.std(delta[ahead:] - delta[:-ahead]) < 5.0 * 2.0**0.5 * noise:
+        reason = "too little excitation: within 0.25 s the wheel hardly moves by more than its noise"
+        estimates[1:] = [Estimate(one.name, one.unit, reason=reason) for one in estimates[1:]]
     slow, fast = np.quantile(v[use], [0.02, 0.98])
     if vehicle is None and fast < 1.2 * slow:
         reason = f"the speed did not vary ({slow:.3g} to {fast:.3g} m/s); a vehicle with its axle distances is needed"
-        estimates = [one if one.value is not None else dataclasses.replace(one, reason=reason) for one in estimates]
+        estimates = [Estimate(one.name, one.unit, reason=reason) for one in estimates]
     return estimates, single_track(fit.x)
