@@ -241,8 +241,9 @@ def _wheel(t, new, command, begin, lag, delay, rate):
             far -= np.sign(far) * rate * ramp
             x = command[j] - far * np.exp(-(end - now - ramp) / lag)
             now = end
-        while lag < IMMEDIATE and rate > 0.5 * UNLIMITED and j < i and t[j + 1] + delay <= t[i] + IMMEDIATE:
-            j += 1
+        if lag < IMMEDIATE and rate > 0.5 * UNLIMITED:  # the command itself
+            while j < i and t[j + 1] + delay <= t[i] + IMMEDIATE:
+                j += 1
             x = command[j]
         out[i] = x
     return out
