@@ -160,7 +160,7 @@ class _UntoldError(InputError):
 def _recordings(log: Any, channels: str | os.PathLike[str] | None) -> Iterator[Recording]:
     """The recordings of a log in any form."""
     if isinstance(log, str | os.PathLike):
-        yield from read_recordings(log, channels=channels)
+        yield from read_recordings(log, channels=channels, lane=False)
     elif hasattr(log, "keys") or hasattr(log, "columns"):
         names = [str(name) for name in getattr(log, "columns", log)]
         if "t" not in names or not {*COLUMNS} & {*names}:

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     target = None if args.toml is None else _console.output_file(args.toml, ".toml", option="--toml")
     vehicle = None if args.vehicle is None else load_study(args.vehicle).vehicle
     with _console.progress_bar("identifying"):
-        opened = open_recordings(args.paths, format=args.format, channels=args.channels)
+        opened = open_recordings(args.paths, format=args.format, channels=args.channels, lane=False)
         if target is not None:
             refuse_input("--toml", target, [Path(path) for path in args.paths], opened.source.files)
         items = [*opened.source.problems, *(item for part in opened.source.parts for item in part.read())]
