@@ -65,8 +65,8 @@ def run(args: argparse.Namespace) -> None:
     if args.data_sheet:
         vehicle = read_data_sheet(Path(args.data_sheet))
         content["vehicle"] |= {key: float(f"{value:.6g}") for key, value in dataclasses.asdict(vehicle).items()}
-        lines = (f"the vehicle of the data sheet {Path(args.data_sheet).name}", *vehicle.notes)
-        notes = "".join(f"\n# {line}" for line in lines) + "\n"
+        sheet = f"the vehicle of the data sheet {Path(args.data_sheet).name}"
+        notes = "".join(f"\n# {line}" for line in (sheet, *vehicle.notes)) + "\n"
     study = Study.from_dict(content | {"name": name}, source=str(target), folder=target.parent)
     if args.model or args.departures:
         study_source(study)  # refused now, and not when the file is run
@@ -112,14 +112,13 @@ def read_data_sheet(path: Path) -> VehicleParameters:
 
     content = read_toml(path, InputError)
     keys = inspect.signature(VehicleParameters.from_data_sheet).parameters
-    for key in content:
-        if key not in keys:
-            raise InputError(f"{path.name}: {key}", "no such key", allowed=tuple(keys))
-    for key, parameter in keys.items():
-        if parameter.default is parameter.empty and key not in content:
-            raise InputError(f"{path.name}: {key}", "missing, and has no default")
     try:
-        return VehicleParameters.from_data_sheet(**content)
+        for key in content:
+            if key not in keys:
+                raise InputError(key, "no such key", allowed=tuple(keys))
+        # what is missing is refused as None
+        given: Any = {key: content.get(key, None if of.default is of.empty else of.default) for key, of in keys.items()}
+        return VehicleParameters.from_data_sheet(**given)
     except InputError as error:
         raise error.within(path.name, ": ") from None
 
