@@ -196,8 +196,8 @@ class _Samples(NamedTuple):
             if len(columns) == len(names):
                 if "steering_command" in names and one.engaged is not None:
                     columns["steering_command"] = np.where(one.engaged, columns["steering_command"], np.nan)
-                cuts = np.zeros(one.samples) if one.cut is None else one.cut
-                parts.append(np.stack([one.t, number + np.cumsum(cuts) / (one.samples + 1.0), *columns.values()]))
+                cuts = np.zeros(one.samples) if one.cut is None else np.cumsum(one.cut, dtype=np.float64)
+                parts.append(np.stack([one.t, number + cuts / (one.samples + 1.0), *columns.values()]))
         if absent:
             raise _UntoldError(problem=f"the log has no {' and no '.join(name for name in names if name in absent)}")
         table = np.concatenate(parts, axis=1)
@@ -261,13 +261,12 @@ def _yaw_rate(t, new, v, delta, begin, c_f, c_r, l_f, l_r, k2):
     """
     out = np.empty(t.size)
     y, r = 0.0, 0.0
-    fastest = c_f + c_r + (l_f * l_f * c_f + l_r * l_r * c_r) / k2
     for i in range(t.size):
         if new[i]:
             r = begin[i]
             y = (l_r - l_f * v[i] * v[i] / (c_r * (l_f + l_r))) * r  # as in a steady turn
         else:
-            steps = min(int(20.0 * (t[i] - t[i - 1]) * fastest / v[i]) + 1, 1000)
+            steps = int(500.0 * (t[i] - t[i - 1]) * max(1.0, 20.0 / v[i])) + 1  # the same for all parameters
             h = (t[i] - t[i - 1]) / steps
             for s in range(steps):
                 a, b = y, r
@@ -336,7 +335,7 @@ def _fit(
             estimates.append(Estimate(name, unit, value, (low, value + half)))
         else:
             width = f" (95 % interval: {value:.3g} +- {half:.2g} {unit})" if half < np.inf else ""
-            estimates.append(Estimate(name, unit, reason=f"too little excitation{width}"))
+            estimates.append(Estimate(name, unit, reason=f"the log does not tell it{width}"))
     return x, estimates, f"the model explains {explained:.2%} of what was measured, in {n:,} samples"
 
 
@@ -421,6 +420,6 @@ def _dynamics(
         reason = f"the speed did not vary ({slow:.3g} to {fast:.3g} m/s); a vehicle with its axle distances is needed"
         estimates = _refused(units, reason)
     elif vehicle is not None and np.std(delta[ahead:] - delta[:-ahead]) < 7.0 * noise:
-        reason = "too little excitation: within 0.25 s the wheel hardly moves by more than its noise"
+        reason = "the log does not tell it: within 0.25 s the wheel hardly moves by more than its noise"
         estimates = [estimates[0], *_refused(units, reason)[1:]]
     return estimates, single_track(x)
