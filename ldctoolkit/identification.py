@@ -385,7 +385,8 @@ def _dynamics(
     linear = np.abs(v * r) <= LARGEST_A_Y
     beyond, use = np.count_nonzero(use & ~linear), use & linear
     if np.count_nonzero(use) < FEWEST:
-        raise _UntoldError(problem=f"nearly all is above {LARGEST_A_Y:g} m/s^2, where tyres are not linear")
+        what = f"nearly all is above {LARGEST_A_Y:g} m/s^2, where tyres are not linear"
+        raise _UntoldError(problem=f"{what}; or is the yaw rate in another unit?")
     with np.errstate(all="ignore"):  # of a perfect circle
         turn = np.corrcoef(r[use] / v[use], delta[use])[0, 1]
     if turn < -0.5:

@@ -126,9 +126,9 @@ def test_a_known_vehicle_is_identified(vehicle: VehicleParameters | None) -> Non
 
 
 def test_intervals_hold_the_truth() -> None:
-    hits = coverage(range(12), 0.0)
-    assert min(hits.values()) >= 9
-    assert sum(hits.values()) >= 84
+    hits = coverage(range(8), 0.0)
+    assert min(hits.values()) >= 5
+    assert sum(hits.values()) >= 55  # of 8 and 64; 95 % are 61
 
 
 @pytest.mark.slow
@@ -191,7 +191,7 @@ UNTOLD: dict[str, tuple[Callable[[Log], Log], set[str], str]] = {
     "the command rests": (still("steering_command"), STEERING, "never moves"),
     "sign of the command": (lambda log: log | {"steering_command": -log["steering_command"]}, STEERING, "-1"),
     "command in degrees": (
-        lambda log: log | {"steering_command": np.degrees(log["steering_command"])}, STEERING, "0.0175",
+        lambda log: log | {"steering_command": np.degrees(log["steering_command"])}, STEERING, "times the command",
     ),
     "the limit is not reached": (gentle, {"rate_max"} | DYNAMICS, "never reached"),
     "no yaw rate": (lambda log: {k: x for k, x in log.items() if k != "yaw_rate"}, DYNAMICS, "yaw_rate"),
