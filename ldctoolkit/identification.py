@@ -60,7 +60,17 @@ class Estimate(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Identification:
-    """What a log tells of actuator and vehicle."""
+    """What a log tells of actuator and vehicle.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.arange(0.0, 60.0, 0.02)
+    >>> command, wheel = (0.02 * np.sign(np.sin(2.0 * (t - late))) for late in (0.0, 0.08))
+    >>> found = identify({"t": t, "steering_command": command, "steering": wheel})
+    >>> round(found["delay"].value, 2), found["rate_max"].reason[:13], found["understeer_gradient"].reason
+    (0.08, 'never reached', 'the log has no speed and no yaw_rate')
+    """
 
     estimates: tuple[Estimate, ...]
     notes: tuple[str, ...]  # How well the models fit, and what was left out
@@ -124,9 +134,8 @@ def identify(
     >>> import numpy as np
     >>> t = np.arange(0.0, 60.0, 0.02)
     >>> command, wheel = (0.02 * np.sign(np.sin(2.0 * (t - late))) for late in (0.0, 0.08))
-    >>> found = identify({"t": t, "steering_command": command, "steering": wheel})
-    >>> round(found["delay"].value, 2), found["rate_max"].reason[:13], found["understeer_gradient"].reason
-    (0.08, 'never reached', 'the log has no speed and no yaw_rate')
+    >>> identify({"t": t, "steering_command": command, "steering": wheel}).actuator.delay > 0.07
+    True
     """
     expect("vehicle", vehicle, VehicleParameters | None)
     ratio = checked_number("steering_ratio", steering_ratio, above=0.0)
@@ -329,6 +338,7 @@ def _fit(
     window[0] *= 0.5
     estimates = []
     for (name, unit), value, gone, weights in zip(units.items(), map(float, derived(x)), lost, influence, strict=True):
+        value = max(value, 0.0) if name in ACTUATOR else value
         half = np.inf if gone else QUANTILE * float(np.sqrt(max(window @ products(weights, lags), 0.0)))
         if half <= 0.5 * abs(value) + FLOORS.get(name, 0.0):
             low = max(value - half, 0.0) if name in ACTUATOR else value - half

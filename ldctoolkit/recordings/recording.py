@@ -645,8 +645,8 @@ def read_recordings(
 ) -> Iterator[Recording]:
     r"""Read driving recordings, whole ones in the order of the files, and stop at the first fault.
 
-    Arguments are those of `open_recordings`, which goes on with what is sound, and names what is
-    not. The content is read, and checked, while iterating. Raises `RecordingError` as `open_recordings`; while
+    `paths`, `format`, `channels` and `lane` are those of `open_recordings`, which goes on with what is sound, and names
+    what is not. The content is read, and checked, while iterating. Raises `RecordingError` as `open_recordings`; while
     iterating, for content that cannot be used, naming file and place.
 
     Examples
