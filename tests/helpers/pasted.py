@@ -91,7 +91,8 @@ STAND_INS: dict[str, Callable[[Path], object]] = {
     "trip.mf4": mdf.write_log, "map.toml": lambda path: path.write_text(mdf.MAP, encoding="utf-8"), "spmd": _spmd,
     "UAH-DRIVESET-v1": _uah, "departures.parquet": _departures,
     "d.parquet": _departures, "m.json": _model, "out/spmd/model.json": _model, "my.toml": _study, "car.toml": _sheet,
-    "out": _results, "out/my": _results, "out/my-study": _results, "out/trigger-and-gains": _results, "reference": _results,
+    "out": _results, "out/my": _results, "out/my-study": _results, "out/trigger-and-gains": _results,
+    "reference": _results,
 }  # fmt: skip
 """What stands for a file that a page takes for granted."""
 
