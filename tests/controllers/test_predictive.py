@@ -164,7 +164,7 @@ REALISTIC = PlantOptions(
 )  # fmt: skip
 
 SWEPT = {"corridor": "r", "towed": "tau", "quadratic": "angle_max"}
-VALUES = {"r": [5e3, 1e4, 2e4], "tau": [0.08, 0.1, 0.15], "angle_max": [0.005, 0.01, 0.02]}
+VALUES = {"r": [5e3, 1e4, 2e4], "tau": [0.08, 0.1, 0.15], "angle_max": [0.01, 0.015, 0.02]}
 
 
 def study_of(*names: str, **counts: int) -> ldc.Study:
