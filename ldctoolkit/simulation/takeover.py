@@ -249,6 +249,10 @@ class Takeover:
         """State of the recorded paths in their steady turns at times t (n, k), (n, k, 4)."""
         return _state(self.path, self.every_vehicle.columns(slice(None)), _steady(self.setup), t)[0]
 
+    def recorded_steering(self, t: FloatArray) -> FloatArray:
+        """Steering angle with which the recorded paths are driven at times t (n, k), (n, k)."""
+        return _state(self.path, self.every_vehicle.columns(slice(None)), _steady(self.setup), t)[1]
+
     @functools.cached_property
     def deepest_before(self) -> FloatArray:
         """Deepest position of the edge before the trigger, (m,) [m]."""
