@@ -205,9 +205,9 @@ def _road(name: str, parts: list[_Stretch], setup: Setup, library: Any) -> bytes
 
 def _scenario(name: str, about: str, parts: list[_Stretch], setup: Setup, ahead: float, library: Any) -> bytes:
     """OpenSCENARIO 1.0, which every simulator reads that reads any: one vehicle, an event for each stretch."""
-    xosc, car, clock = library.xosc, setup.vehicle, min(0.0, float(parts[0].t[0]))  # simulators start at 0
+    xosc, car = library.xosc, setup.vehicle
     length, limits = car.l_f + car.l_r + _OVERHANG, (max(float(part.v.max()) for part in parts), *2 * [_ACCELERATION])
-    about = f"ldctoolkit {__version__}: {about}; simulation time 0 is {clock:.10g} s; length {length:.3g} m is assumed"
+    about = f"ldctoolkit {__version__}: {about}; length {length:.3g} m is assumed"
     box = xosc.BoundingBox(car.w_v, length, _HEIGHT, 0.5 * (car.l_f - car.l_r) - ahead, 0.0, 0.5 * _HEIGHT)
     front = xosc.Axle(_STEERING, _WHEEL, car.w_v - _WHEEL / 3, car.l_f - ahead, 0.5 * _WHEEL)
     rear = xosc.Axle(0.0, _WHEEL, car.w_v - _WHEEL / 3, -car.l_r - ahead, 0.5 * _WHEEL)
@@ -215,7 +215,7 @@ def _scenario(name: str, about: str, parts: list[_Stretch], setup: Setup, ahead:
     entities.add_scenario_object("Ego", xosc.Vehicle("car", xosc.VehicleCategory.car, box, front, rear, *limits))
 
     def after(name: str, t: float, point: str = "start") -> Any:
-        condition = xosc.SimulationTimeCondition(round(float(t - clock), 9), xosc.Rule.greaterThan)
+        condition = xosc.SimulationTimeCondition(round(float(t), 9), xosc.Rule.greaterThan)
         return xosc.ValueTrigger(name, 0.0, xosc.ConditionEdge.none, condition, triggeringpoint=point)
 
     for part in parts:
@@ -225,7 +225,7 @@ def _scenario(name: str, about: str, parts: list[_Stretch], setup: Setup, ahead:
             init.add_init_action("Ego", xosc.TeleportAction(places[0]))
             init.add_init_action("Ego", xosc.AbsoluteSpeedAction(float(part.v[0]), at_once))
         trajectory, event = xosc.Trajectory(part.event, False), xosc.Event(part.event, xosc.Priority.overwrite)
-        trajectory.add_shape(xosc.Polyline((part.t - clock).round(9).tolist(), places))
+        trajectory.add_shape(xosc.Polyline(part.t.round(9).tolist(), places))
         timing = xosc.FollowingMode.position, xosc.ReferenceContext.absolute, 1.0, 0.0
         event.add_trigger(after(part.event, part.t[0]))
         event.add_action(part.event, xosc.FollowTrajectoryAction(trajectory, *timing))
