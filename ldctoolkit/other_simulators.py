@@ -23,12 +23,10 @@ from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError, LdcError, expect
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
-from ldctoolkit.simulation.loop import STATUS_NAMES, Outcome, lane_centre, path_rows
+from ldctoolkit.simulation.loop import Outcome, lane_centre, path_rows
 from ldctoolkit.simulation.takeover import Takeover
 from ldctoolkit.version import __version__
 
-FORMATS: Final = ("openscenario", "csv")
-REFERENCES: Final = ("centre_of_gravity", "rear_axle")
 _COLUMNS: Final = "t_s,x_m,y_m,heading_rad,speed_m_s,wheel_angle_rad,trigger_time_s"
 _STEP: Final = 0.01  # [s] Between the points of a path, at most: straight lines between them stay within 0.2 mm
 _ROAD_ERROR: Final = 5e-5  # [m] Most that an element of a road may leave the lane's centre line
@@ -52,45 +50,41 @@ class _Stretch(NamedTuple):
 
 
 def export_scenarios(
-    scenarios: Scenarios, folder: str | Path, rows: bool | npt.ArrayLike, outcome: Outcome | None, setup: Setup | None,
+    scenarios: Scenarios, folder: Path, rows: bool | npt.ArrayLike, outcome: Outcome | None, setup: Setup | None,
     reference: str, format: str,
 ) -> dict[Path, str]:  # fmt: skip
     """Write departures as `Scenarios.to_openscenario` says; each main file, and what it shows."""
     expect("setup", setup, Setup | None)
     expect("outcome", outcome, Outcome | None)
-    for name, value, allowed in (("reference", reference, REFERENCES), ("format", format, FORMATS)):
+    choices = {"reference": ("centre_of_gravity", "rear_axle"), "format": ("openscenario", "csv")}
+    for (name, allowed), value in zip(choices.items(), (reference, format), strict=True):
         if value not in allowed:
             raise InputError(name, value=value, allowed=allowed)
-    library: Any = None
-    if format == "openscenario":
-        try:
-            library = importlib.import_module("scenariogeneration")
-        except ImportError:
-            problem = "needs scenariogeneration, which is not installed"
-            raise LdcError("to_openscenario", problem, hint="pip install 'ldctoolkit[scenario]'") from None
     if outcome is not None and outcome.S.size != scenarios.n:
         raise InputError("outcome", f"of {outcome.S.size} scenarios", allowed=f"one of these {scenarios.n}")
     setup, chosen = setup or Setup(), path_rows(rows, scenarios.n, "rows")
-    chosen = np.arange(0) if chosen is None else chosen
-    if np.unique(scenarios.index[chosen]).size != chosen.size:
-        raise InputError("rows", "two scenarios have the same number, and would be one file")
     ahead = -setup.vehicle.l_r if reference == "rear_axle" else 0.0
-    departures = [_departure(scenarios.take([row]), row, setup, outcome, ahead) for row in chosen.tolist()]
+    numbers = [] if chosen is None else chosen.tolist()
+    try:
+        library: Any = importlib.import_module("scenariogeneration") if format == "openscenario" else None
+    except ImportError:
+        hint = "pip install 'ldctoolkit[scenario]'"
+        raise LdcError("to_openscenario", "needs scenariogeneration, which is not installed", hint=hint) from None
+    departures = [_departure(scenarios.take([row]), row, setup, outcome, ahead) for row in numbers]
     written: dict[Path, str] = {}
     with contextlib.suppress(OSError):  # writing says so
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    for row, parts in zip(chosen.tolist(), departures, strict=True):
+        folder.mkdir(parents=True, exist_ok=True)
+    for row, parts in zip(numbers, departures, strict=True):
+        status = EventStatus.OK if outcome is None else EventStatus(int(outcome.status[row]))
         about = f"departure {scenarios.index[row]} to the {'left' if scenarios.side[row] == LEFT else 'right'}"
         about += f", {parts[0].t[0]:.4g} to {parts[-1].t[-1]:.4g} s, positions of the {reference.replace('_', ' ')}"
         about += f", control from {parts[-1].t[0]:.4g} s" if parts[-1].event == "trigger" else ", recorded path"
-        if outcome is not None and outcome.status[row] != EventStatus.OK:
-            about += f": {STATUS_NAMES[outcome.status[row]].replace('_', ' ')}"
-            about += ", the path ends there" if outcome.status[row] == EventStatus.DIVERGED else ""
-        name = f"departure-{scenarios.index[row]:06d}"
-        file = Path(folder) / f"{name}.{'xosc' if library else 'csv'}"
+        about += f": {status.name.lower().replace('_', ' ')}" if status else ""
+        about += ", the path ends there" if status == EventStatus.DIVERGED else ""
+        file = folder / f"departure-{scenarios.index[row]:06d}.{'xosc' if library else 'csv'}"
         if library:
-            write_whole(file.with_suffix(".xodr"), _road(name, parts, setup, library), LdcError)
-        content = _scenario(name, about, parts, setup, ahead, library) if library else _table(parts)
+            write_whole(file.with_suffix(".xodr"), _road(file.stem, parts, setup, library), LdcError)
+        content = _scenario(file.stem, about, parts, setup, ahead, library) if library else _table(parts)
         write_whole(file, content, LdcError)
         written[file] = about
     return written
@@ -98,46 +92,43 @@ def export_scenarios(
 
 def _departure(scenario: Scenarios, row: int, setup: Setup, outcome: Outcome | None, ahead: float) -> list[_Stretch]:
     """The recorded path until the trigger, and the driven one from there on; or the recorded one alone."""
-    over, end, known = Takeover.build(scenario, setup, y_s=0.0), float(scenario.T[0]), 0
-    if not over.valid[0]:
-        raise InputError("rows", "cannot be driven", value=row)
-    paths = None if outcome is None or not outcome.triggered[row] else outcome.trajectories
-    at = np.arange(0) if paths is None else np.flatnonzero(paths.rows == row)
-    if outcome is not None and outcome.triggered[row] and not at.size:
-        hint = "simulate with trajectories=True, or leave the outcome out for the recorded path"
-        raise InputError("outcome", f"holds no path of scenario {row}", hint=hint)
-    parts = []
-    if paths is not None:
-        sample, x, path, v = paths.t[at[0]], paths.x[at[0]], paths.path.take(at), paths.v[at[0]]
-        known, end = int(np.isfinite(sample).sum()), float(sample[0])
-        e_y = float(over.path.lateral(sample[:1])[0]) + setup.vehicle.edge_offset
+    over, known, parts = Takeover.build(scenario, setup, y_s=0.0), 0, []
+    end = float(over.path.scenarios.T[0])
+    if outcome is not None and outcome.triggered[row]:
+        paths = outcome.trajectories
+        at = np.arange(0) if paths is None else np.flatnonzero(paths.rows == row)
+        if paths is None or not at.size:
+            hint = "simulate with trajectories=True, or leave the outcome out for the recorded path"
+            raise InputError("outcome", f"holds no path of scenario {row}", hint=hint)
+        known, path = int(np.isfinite(paths.t[at]).sum()), paths.path.take(at)
+        sample, x, held, fixed = (column[at[0], ...] for column in (paths.t, paths.x, paths.delta, paths.v))
+        e_y, end = float(over.path.lateral(sample[:1])[0]) + setup.vehicle.edge_offset, float(sample[0])
         same = np.array_equal(path.scenarios.matrix(), scenario.matrix()) and path.scenarios.side == scenario.side
         if not same or abs(x[0, 0] - e_y) > 1e-6:
             raise InputError("outcome", f"is of other scenarios than no. {row}, or was driven with another setup")
     if end > 0.0:
         t = np.linspace(0.0, end, 1 + math.ceil(end / _STEP))[None]
-        columns = over.recorded_state(t), over.recorded_steering(t), over.path.speed(t), over.path.curvature(t)
-        state, delta, speed, curvature = (column[0] for column in columns)
-        parts.append(_stretch("recorded", scenario, ahead, t[0], state, delta, speed, curvature, known > 0))
-    if paths is not None and known > 1:
+        columns = t, *over.recorded_motion(t), over.path.speed(t), over.path.curvature(t)
+        parts.append(_stretch("recorded", scenario, ahead, *(column[0] for column in columns), backwards=known > 0))
+    if known > 1:
         from scipy.interpolate import CubicHermiteSpline
 
-        sample, x = sample[:known], x[:known]
-        pieces = math.ceil(np.diff(sample).max() / _STEP)
-        inside = sample[:-1, None] + np.diff(sample)[:, None] * (np.arange(pieces) / pieces)
-        t = np.append(inside.ravel(), sample[-1])
-        state = np.insert(CubicHermiteSpline(sample, x[:, ::2], x[:, 1::2])(t), 1, 0.0, axis=1)
-        held = paths.delta[at[0], np.searchsorted(sample, t, side="right") - 1]
-        speed = path.speed(t[None])[0] if np.isnan(v) else np.full(t.size, v)
-        parts.append(_stretch("trigger", scenario, ahead, t, state, held, speed, path.curvature(t[None])[0]))
-    if not parts:
-        raise InputError("rows", "diverged within its first sample and has no path", value=row)
+        pieces = math.ceil(np.nanmax(np.diff(sample)) / _STEP)
+        t = np.interp(np.arange((known - 1) * pieces + 1) / pieces, np.arange(known), sample[:known])
+        spline = CubicHermiteSpline(sample[:known], x[:known, ::2], x[:known, 1::2])
+        speed = path.speed(t[None])[0] if np.isnan(fixed) else np.full(t.size, fixed)
+        delta = held[np.arange(t.size) // pieces]
+        parts.append(
+            _stretch("trigger", scenario, ahead, t, spline(t)[:, [0, 0, 1]], delta, speed, path.curvature(t[None])[0])
+        )
+    if not parts or not over.valid[0]:
+        raise InputError("rows", "cannot be driven", value=row)
     return parts
 
 
 def _stretch(
     event: str, scenario: Scenarios, ahead: float, t: FloatArray, state: FloatArray, delta: FloatArray, v: FloatArray,
-    curvature: FloatArray, backwards: bool = False,
+    curvature: FloatArray, *, backwards: bool = False,
 ) -> _Stretch:  # fmt: skip
     """A stretch whose lane starts at the origin, or ends there, from what is known in the outward frame."""
     side, order = int(scenario.side[0]), slice(None, None, -1 if backwards else 1)
@@ -173,18 +164,17 @@ def _elements(lane: FloatArray, c: FloatArray) -> list[tuple[float, ...]]:
 def _road(name: str, parts: list[_Stretch], setup: Setup, library: Any) -> bytes:
     """OpenDRIVE: one lane, whose centre is the reference line, between solid marks, and a strip on either side."""
     xodr = library.xodr
+    (x, y, heading), c, last = parts[0].lane[1:, 0], parts[0].curvature[0], parts[-1].curvature[-1]
+    before, after = (min(most, 1.0 / max(abs(bend), 1e-9)) for most, bend in ((_BEFORE, c), (_AFTER, last)))
+    chord, middle = before * np.sinc(0.5 * c * before / np.pi), heading - 0.5 * c * before
+    first = x - chord * np.cos(middle), y - chord * np.sin(middle), heading - c * before, before, c, c
     elements = [element for part in parts for element in _elements(part.lane, part.curvature)]
-    c, (x, y, heading) = parts[0].curvature[0], parts[0].lane[1:, 0]
-    length = min(_BEFORE, 1.0 / max(abs(c), 1e-9))
-    chord, middle = length * np.sinc(0.5 * c * length / np.pi), heading - 0.5 * c * length
-    elements.insert(0, (x - chord * np.cos(middle), y - chord * np.sin(middle), heading - c * length, length, c, c))
-    c = parts[-1].curvature[-1]
-    elements.append((*parts[-1].lane[1:, -1], min(_AFTER, 1.0 / max(abs(c), 1e-9)), c, c))
     plan, width = xodr.PlanView(), setup.vehicle.w_l
-    for x, y, heading, length, first, last in np.array(elements).tolist():
-        shape = xodr.Spiral(first, last, length=length)
-        if abs(last - first) * length**2 < 1e-3 * _ROAD_ERROR:
-            shape = xodr.Arc(first, length=length) if abs(first) > 1e-12 else xodr.Line(length)
+    every = np.array([first, *elements, (*parts[-1].lane[1:, -1], after, last, last)])
+    for x, y, heading, length, c, last in every.tolist():
+        shape = xodr.Spiral(c, last, length=length)
+        if abs(last - c) * length**2 < 1e-3 * _ROAD_ERROR:
+            shape = xodr.Arc(c, length=length) if abs(c) > 1e-12 else xodr.Line(length)
         plan.add_fixed_geometry(shape, x, y, heading)
     section, mark = (
         xodr.LaneSection(0, xodr.Lane(xodr.LaneType.none)),

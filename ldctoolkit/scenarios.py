@@ -232,24 +232,23 @@ class Scenarios(DepartureParameters):
         """Write departures as OpenSCENARIO 1.0 files and OpenDRIVE roads, or as tables; returns the k main files.
 
         The plane is that of `Trajectories.world`; of a recorded path alone the origin is where the departure starts.
-        Raises `InputError` for rows that do not exist or cannot be driven, and an outcome of other scenarios, of
-        another setup, or without the paths; `LdcError` without the extra ``scenario``, or where nothing can be written.
+        Raises `InputError` for rows that do not exist or cannot be driven, or an outcome of other scenarios, of another
+        setup, or without the paths; `LdcError` without the extra ``scenario``, or where nothing can be written.
 
         Parameters
         ----------
         folder : str or path
-            Where ``departure-NUMBER.xosc`` and ``.xodr``, or ``.csv``, of each go.
+            Where ``departure-NUMBER.xosc`` and ``.xodr``, or ``.csv``, go.
         rows : bool or (k,) int
             Row numbers of the scenarios, or true for all.
         outcome : Outcome, optional
-            What `simulate` gave with ``trajectories``: at the trigger, an event, the vehicle changes from the recorded
-            to the corrected path. Without it, and where control never triggered, it stays on the recorded path.
+            From `simulate` with ``trajectories``: its corrected paths begin at the trigger, an event. Else recorded.
         setup : Setup, optional
             The one that was driven with: lane, vehicle, and what is drawn for the recorded path.
         reference : {"centre_of_gravity", "rear_axle"}
-            The point of the vehicle that positions are of, from which bounding box and axles are measured.
+            The vehicle's point that positions are of, from which bounding box and axles are measured.
         format : {"openscenario", "csv"}
-            Columns of the table: ``t_s, x_m, y_m, heading_rad, speed_m_s, wheel_angle_rad, trigger_time_s``.
+            Columns: ``t_s, x_m, y_m, heading_rad, speed_m_s, wheel_angle_rad, trigger_time_s``.
 
         Examples
         --------
@@ -261,7 +260,7 @@ class Scenarios(DepartureParameters):
         ['departure-000000.xosc']
         """
         export = importlib.import_module("ldctoolkit.other_simulators").export_scenarios  # it lies above
-        return tuple(export(self, folder, rows, outcome, setup, reference, format))
+        return tuple(export(self, Path(folder), rows, outcome, setup, reference, format))
 
     def arrays(self) -> Iterator[npt.NDArray[Any]]:
         """All arrays that describe the scenarios, always in the same order."""

@@ -106,12 +106,9 @@ def _scenarios(judged: Judged) -> Scenarios:
 
 
 def _add_scenarios(commands: Subparsers) -> None:
-    parser = commands.add_parser(
-        "scenarios",
-        help="write departures for esmini, CARLA, CarMaker and other simulators",
-        description="Drive the worst departures of a design of a study again and write each as an OpenDRIVE road and "
-        "an OpenSCENARIO file, or as a table of the path.",
-    )
+    about = "write departures for esmini, CARLA, CarMaker and other simulators"
+    more = "; each is an OpenDRIVE road and an OpenSCENARIO file, or a table of the path"
+    parser = commands.add_parser("scenarios", help=about, description=f"W{about[1:]}{more}.")
     add = parser.add_argument
     add("folder", metavar="DIR", help="folder that ldc run wrote")
     about = "the departures with the largest S of the design (default: %(default)s)"
@@ -121,7 +118,7 @@ def _add_scenarios(commands: Subparsers) -> None:
     add("--recorded", action="store_true", help="the recorded paths, without control")
     add("--format", choices=("openscenario", "csv"), default="openscenario", help="(default: openscenario)")
     about = "the vehicle's point that positions are of (default: %(default)s)"
-    add("--reference", choices=("centre-of-gravity", "rear-axle"), default="centre-of-gravity", help=about)
+    add("--reference", choices=("centre_of_gravity", "rear_axle"), default="centre_of_gravity", help=about)
     add("-o", "--output", metavar="FOLDER", help="where the files go (default: DIR/scenarios)")
     parser.set_defaults(run=_run_scenarios)
 
@@ -131,7 +128,6 @@ def _run_scenarios(args: argparse.Namespace) -> None:
     import numpy as np
 
     from ldctoolkit.control import EventStatus
-    from ldctoolkit.errors import InputError
     from ldctoolkit.other_simulators import export_scenarios
     from ldctoolkit.simulation import Takeover, drive
 
@@ -141,26 +137,22 @@ def _run_scenarios(args: argparse.Namespace) -> None:
     judged = Judged.read(args.folder)
     (design,), results, setup = judged.named(args.design and [args.design]), judged.results, judged.study.setup()
     status, stored, S = (part[results.designs.index(design)] for part in (results.status, results.S, results.counted))
-    drivable = np.flatnonzero(results.drivable)
-    rows = drivable[np.argsort(-S[drivable], kind="stable")][: args.worst]
+    rows, outcome = np.flatnonzero(results.drivable), None
     if args.departure:
-        rows = drivable[list(rows_of_numbers(results.scenarios.take(drivable), args.departure))]
+        rows = rows[list(rows_of_numbers(results.scenarios.take(rows), args.departure))]
+    else:
+        rows = rows[np.argsort(-S[rows], kind="stable")][: args.worst]
     lost = np.isin(status[rows], (EventStatus.TIMED_OUT, EventStatus.CRASHED)) & (not args.recorded)
     if lost.any():
-        warn(
-            f"no path of departures {results.scenarios.index[rows[lost]].tolist()}: the law timed out or crashed there"
-        )
-    rows, outcome = rows[~lost], None
-    if not rows.size:
-        raise InputError(args.folder, "holds no departure that can be driven again", hint="--recorded needs no design")
-    scenarios = results.scenarios.take(rows)
+        warn(f"left out, the law timed out or crashed: {', '.join(map(str, results.scenarios.index[rows[lost]]))}")
+    scenarios = results.scenarios.take(rows[~lost])
     with progress_bar("driving and writing"):
         if not args.recorded:
             over = Takeover.build(scenarios, setup, y_s=design.y_s)
             outcome = drive(design.controller(setup.convention), over, trajectories=True).outcome(results.window)
-            if not np.allclose(outcome.S, stored[rows], rtol=1e-3):
+            if not np.allclose(outcome.S, stored[rows[~lost]], rtol=1e-3):
                 warn("the paths do not have the stored S: the results are of another version or machine")
         paths = outcome if outcome and outcome.trajectories else None  # none of a law that never intervenes
-        folder, reference = args.output or Path(args.folder) / "scenarios", args.reference.replace("-", "_")
-        written = export_scenarios(scenarios, folder, True, paths, setup, reference, args.format)
+        folder = Path(args.output or f"{args.folder}/scenarios")
+        written = export_scenarios(scenarios, folder, True, paths, setup, args.reference, args.format)
     say(console(), "recorded paths" if args.recorded else design.label, *(f"  {f}: {written[f]}" for f in written))

@@ -259,8 +259,8 @@ def test_files_are_those_of_the_standards(recorded: tuple[Path, ...], corrected:
 def test_the_library_reads_the_same(recorded: tuple[Path, ...], corrected: tuple[Path, ...], outcome: Outcome) -> None:
     xosc = importlib.import_module("scenariogeneration").xosc
     for row in range(40):
-        for file in (recorded[row], corrected[row]) if row < 2 else (corrected[row],):
-            if row < 2:
+        for file in (recorded[row], corrected[row]) if not row else (corrected[row],):
+            if not row:
                 with warnings.catch_warnings():
                     warnings.simplefilter("error")
                     read = xosc.ParseOpenScenario(str(file))
@@ -454,11 +454,11 @@ def test_outcomes_and_scenarios_that_do_not_fit(
     without, some = (ldc.simulate(ldc.LQR(), SCENARIOS, 0.1, trajectories=rows) for rows in (False, [1]))
     mirrored = dataclasses.replace(SCENARIOS, side=-SCENARIOS.side)
     wrong = dataclasses.replace(SCENARIOS, T=np.where(np.arange(40) == 3, np.nan, SCENARIOS.T))
-    twice, turned = SCENARIOS.take([0, 1, 0]), SCENARIOS.take(range(39, -1, -1))
+    turned = SCENARIOS.take(range(39, -1, -1))
     for scenarios, rows, given, path in (
         (SCENARIOS, [0], without, "outcome"), (SCENARIOS, [0], some, "outcome"), (mirrored, [0], outcome, "outcome"),
         (SCENARIOS.take(range(39)), [0], outcome, "outcome"), (turned, [0], outcome, "outcome"),
-        (wrong, [0, 3], None, "rows"), (twice, True, None, "rows"),
+        (wrong, [0, 3], None, "rows"),
     ):  # fmt: skip
         with pytest.raises(InputError) as raised:
             scenarios.to_openscenario(target, rows, given)

@@ -156,7 +156,7 @@ def test_the_worst_departures_for_other_simulators(folder: Path) -> None:
     files = {path.name for path in (folder / "plain" / "scenarios").iterdir()}
     assert files == {f"{name}{suffix}" for name in names for suffix in (".xosc", ".xodr")}
     out = good(
-        "scenarios", "plain", "--departure", worst[1], "--format", "csv", "-o", "made", "--reference", "rear-axle",
+        "scenarios", "plain", "--departure", worst[1], "--format", "csv", "-o", "made", "--reference", "rear_axle",
         cwd=folder,
     )  # fmt: skip
     (file,) = (folder / "made").iterdir()
