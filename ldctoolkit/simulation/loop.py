@@ -104,8 +104,6 @@ class Trajectories(ReadOnly):
         >>> bool(paths.x[0, 0, 0] > 0.0), bool(y[0, 0] < 0.0)
         (True, True)
         """
-        from scipy.integrate import cumulative_simpson
-
         finite = np.isfinite(self.t)
         step = float(np.diff(self.t).max(initial=_FINE, where=finite[:, 1:]))
         parts = math.ceil(step / _FINE)
@@ -115,10 +113,18 @@ class Trajectories(ReadOnly):
         fine = np.column_stack([inside.reshape(t.shape[0], -1), t[:, -1]])
         v = np.where(np.isnan(self.v)[:, None], self.path.speed(fine), self.v[:, None])
         side = self.path.scenarios.side[:, None]
-        turn = cumulative_simpson(side * v * self.path.curvature(fine), x=fine, initial=0.0)
-        x, y = (cumulative_simpson(v * wave(turn), x=fine, initial=0.0)[:, ::parts] for wave in (np.cos, np.sin))
-        lane, e_y, e_psi = turn[:, ::parts], side * self.x[:, :, 0], side * self.x[:, :, 2]
+        _, x, y, lane = lane_centre(fine, v, side * self.path.curvature(fine))[:, :, ::parts]
+        e_y, e_psi = side * self.x[:, :, 0], side * self.x[:, :, 2]
         return x - e_y * np.sin(lane), y + e_y * np.cos(lane), lane + e_psi
+
+
+def lane_centre(t: FloatArray, v: FloatArray, curvature: FloatArray) -> FloatArray:
+    """Way, x, y and heading of what passes a lane's centre line from the origin on, at times t (n, k), (4, n, k)."""
+    from scipy.integrate import cumulative_simpson
+
+    turn = cumulative_simpson(v * curvature, x=t, initial=0.0)
+    rates = np.stack([v, v * np.cos(turn), v * np.sin(turn)])
+    return np.concatenate([cumulative_simpson(rates, x=np.stack([t] * 3), initial=0.0), turn[None]])
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -405,7 +411,7 @@ def drive(
     plans : bool
         Keep the plans of a law that defines `plan`.
     """
-    rows = _path_rows(trajectories, takeover.scenarios.n)
+    rows = path_rows(trajectories, takeover.scenarios.n)
     law = _checked_law(controller, takeover)
     if isinstance(law, SteeringLaw):
         return _drive_general(law, takeover, controller.name, rows, threads, plans=plans)
@@ -617,7 +623,7 @@ class _Stretch:
 # ------------------------------------------------------------------------------------------------ paths, threads, runs
 
 
-def _path_rows(trajectories: PathChoice, n: int) -> IntArray | None:
+def path_rows(trajectories: PathChoice, n: int, name: str = "trajectories") -> IntArray | None:
     """Row numbers of the scenarios whose paths are kept; None for no paths at all."""
     if isinstance(trajectories, bool | np.bool_):
         return np.arange(n) if trajectories else None
@@ -625,12 +631,12 @@ def _path_rows(trajectories: PathChoice, n: int) -> IntArray | None:
     if rows.size == 0:
         rows = rows.astype(np.int64)
     if rows.ndim != 1 or rows.dtype.kind not in "iu":
-        raise InputError("trajectories", value=trajectories, allowed="true, false, or row numbers of scenarios")
+        raise InputError(name, value=trajectories, allowed="true, false, or row numbers of scenarios")
     outside = (rows < 0) | (rows >= n)
     if outside.any():
-        raise InputError("trajectories", "is no scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
+        raise InputError(name, "is no scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
     if np.unique(rows).size != rows.size:
-        raise InputError("trajectories", "a row number is given twice", allowed="each once")
+        raise InputError(name, "a row number is given twice", allowed="each once")
     return rows.astype(np.int64)
 
 
