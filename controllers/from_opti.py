@@ -114,6 +114,7 @@ class OptiController(Controller):
     build: ClassVar[Callable[..., Any]]
     options: ClassVar[Mapping[str, Mapping[str, Any]]]
     batch: ClassVar[int] = 20
+    symmetric: ClassVar[bool] = False  # as in `PredictiveController`
     move_blocks: ClassVar[int] = 0
 
     def prepare(self, plant: Plant) -> OptiLaw:
@@ -176,6 +177,7 @@ def _problem(kind: type[OptiController], fixed: Any, gains: tuple[str, ...], for
         "lane": Names(
             f"{kind.name}.lane", yaw_rate=nodes[0, :].T, curvature=nodes[0, :].T / numbers["v"],
             steady_e_psi=nodes[LANE + 2, :].T, steady_delta=P[3, :].T, offset=numbers.pop("offset"), dt=numbers["dt"],
+            v=numbers["v"],
         ),
         "vehicle": Names(
             f"{kind.name}.vehicle", **numbers, riccati=riccati,

@@ -95,6 +95,7 @@ class PredictiveController(Controller):
     """
 
     batch: ClassVar[int] = 20  # tens of milliseconds a scenario: about a second of work
+    symmetric: ClassVar[bool] = False  # a cost or a limit may be of the line that is crossed alone
 
     states: ClassVar[tuple[str, ...]] = ()
     """States beyond e_y, e_y_rate, e_psi, e_psi_rate; one named ``wheel`` is the angle of the wheels."""
@@ -254,23 +255,33 @@ def _check(design: PredictiveController, form: Formulation, base: FloatArray, N:
         return
     # with a plant that stays where it is, and no terminal cost of the Riccati equation
     column = np.append(base[0], np.zeros(form.layout.size - base.shape[1]))
-    values = form.check(np.zeros(form.size), 0.0, np.zeros(form.samples), column)
-    parts = form.linear_part(base[0])
-    for path, numbers in (("dynamics", parts), ("stage", (values,))):
-        if not all(np.isfinite(np.asarray(part)).all() for part in numbers):
-            hint = "a root, a quotient or an absolute value at 0 has none: add a small number to it"
-            raise InputError(f"{design.name}.{path}", "has no finite derivative at straight driving", hint=hint)
+    zero, away, p = np.zeros(form.size), 1.0 + 0.1 * np.arange(form.size), np.zeros(form.samples)
+    hint = "a root or a quotient at 0 has none: add a small number to it"
+    if not all(np.isfinite(np.asarray(part)).all() for part in form.linear_part(base[0])):
+        raise InputError(f"{design.name}.dynamics", "has no finite derivative at straight driving", hint=hint)
     for k in range(N):
-        p = np.zeros(form.samples)
         p[2] = k
+        if not np.isfinite(np.asarray(form.check(zero, 0.0, p, column)[0])).all():
+            raise InputError(f"{design.name}.stage", "has no finite derivative at straight driving", hint=hint)
+        # slopes on both sides of straight driving come together as these do, unless there is a kink
+        slopes = (np.asarray(form.check(e * away, e, p, column)[1]) for e in (1e-6, -1e-6, 1e-7, -1e-7))
+        right, left, near_right, near_left = slopes
+        jump = np.abs(near_right - near_left)
+        if kinks := np.flatnonzero((jump > 0.5 * np.abs(right - left)) & (jump > 1e-9)).tolist():
+            path = f"{design.name}.{'stage.cost' if kinks[0] <= form.size else 'terminal'}"
+            raise InputError(path, "has a kink at straight driving", hint="write ca.sqrt(x**2 + 1e-6) for abs(x)")
         bounds = [np.asarray(part).ravel() for part in form.limit(p, column)]
         for kind, i in (("u.delta", 0), ("u.change", 2)):
-            if not bounds[i] <= bounds[i + 1]:
+            if not bounds[i] <= 0.0 <= bounds[i + 1]:
                 value = f"{bounds[i][0]:g} to {bounds[i + 1][0]:g} rad at k = {k}"
-                raise InputError(f"{design.name}.stage.hard", value=value, allowed=f"limits of {kind}, low <= high")
-        low, high, linear, _ = bounds[4:]
-        if not (np.isfinite(linear).all() and (linear > 0).all() and (low <= high).all()):
-            raise InputError(f"{design.name}.stage.soft", f"at k = {k}", allowed="lower <= upper, and weights > 0")
+                allowed = f"limits of {kind}, low <= 0 <= high on a straight lane"
+                raise InputError(f"{design.name}.stage.hard", value=value, allowed=allowed)
+        for row, low, high, linear in zip(form.soft, *bounds[4:7], strict=True):
+            path, at = f"{design.name}.stage.soft[{row.soft}]", f"at k = {k + row.end}"
+            if not low <= high:
+                raise InputError(path, value=f"{low:g} to {high:g} {at}", allowed="lower <= upper")
+            if not 0.0 < linear < np.inf:
+                raise InputError(f"{path}.weight", value=f"{linear:g} {at}", allowed="a number > 0")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -174,6 +174,18 @@ def markdown_text(text: str) -> str:
     return _START.sub(lambda m: f"{m[1]}\\{m[2]}" if m[1] else f"\\{m[3]}", shown)
 
 
+def to_text(table: Table) -> str:
+    """A table in columns of plain text, without its title."""
+    columns = [*zip([column.heading for column in table.columns], *map(table.texts, table.rows), strict=True)]
+    widths = [max(map(len, column)) for column in columns]
+    aligned = [str.ljust if column.text else str.rjust for column in table.columns]
+    rows = (
+        "  ".join(a(text, w) for a, text, w in zip(aligned, row, widths, strict=True))
+        for row in zip(*columns, strict=True)
+    )
+    return "\n".join(map(str.rstrip, rows))
+
+
 def to_markdown(table: Table) -> str:
     """A table of GitHub-flavoured Markdown, without its title."""
     head = [markdown_text(column.heading) for column in table.columns]
