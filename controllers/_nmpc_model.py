@@ -142,9 +142,6 @@ def formulation(structure: Structure) -> Formulation:
     return _Builder(structure).build()
 
 
-_OPEN: Final = (-np.inf, np.inf)
-
-
 class _Builder:
     """Symbols and expressions of one formulation."""
 
@@ -271,12 +268,12 @@ class _Builder:
             ),
         )  # fmt: skip
 
-    def _expression(self, path: str, value: Any, *, given: bool = False) -> Any:
-        """The value as a CasADi scalar of known symbols; `given`: of the lane, k and gains alone."""
+    def _expression(self, path: str, value: Any, *, given: bool = False, absent: Any = None) -> Any:
+        """The value, or what stands for None, as a CasADi scalar of known symbols; `given`: of lane, k and gains."""
         ca = self.ca
         allowed = "a number or a CasADi scalar of " + ("lane, k and gains" if given else "x, u, lane, k and gains")
         try:
-            expression = ca.SX(value)
+            expression = ca.SX(absent if value is None else value)
         except (TypeError, NotImplementedError, ValueError) as error:
             raise InputError(path, f"of type {type(value).__name__}", allowed=allowed) from error
         if expression.shape != (1, 1):
@@ -290,10 +287,6 @@ class _Builder:
             hint = "float() and functions of math make that of a symbol: use those of casadi"
             raise InputError(path, "holds NaN", hint=hint)
         return ca.densify(expression)
-
-    def _end(self, path: str, value: Any, end: int, *, given: bool = False) -> Any:
-        """One end of a limit; None for an open one."""
-        return self._expression(path, _OPEN[end] if value is None else value, given=given)
 
     def _dynamics(self) -> Any:
         """dx/dt, and the lateral acceleration beyond the lane's."""
@@ -315,9 +308,7 @@ class _Builder:
         return both[:-1], a_y
 
     def _stage(self) -> tuple[Any, tuple[Any, ...], list[tuple[Any, ...]]]:
-        """Cost; bounds of delta and its change; rows (value, low, high, weights of v and v^2/2, whether of jerk,
-        index of the limit).
-        """
+        """Cost; bounds of delta and change; rows (value, low, high, weights of v and v^2/2, whether of jerk, index)."""
         ca, path = self.ca, f"{self.name}.stage"
         stage = called(path, self.design.stage, *self._names(of_stage=True), self.k)
         if not all(hasattr(stage, name) for name in ("cost", "hard", "soft")):
@@ -335,7 +326,8 @@ class _Builder:
             if not (isinstance(row, tuple | list) and len(row) == 3):
                 raise InputError(where, f"of type {type(row).__name__}", allowed="a tuple (expression, low, high)")
             value = self._expression(where, row[0])
-            low, high = (self._end(f"{where}[{j}]", row[j], j - 1, given=True) for j in (1, 2))
+            sides = ((1, -np.inf), (2, np.inf))
+            low, high = (self._expression(f"{where}[{j}]", row[j], given=True, absent=end) for j, end in sides)
             held = [k for k, of in enumerate((self.u, self.change)) if ca.depends_on(value, of)]
             other = ca.depends_on(value, ca.vertcat(self.x, self.prev, self.a, self.jerk))
             if len(held) != 1 or other or ca.depends_on(ca.jacobian(value, self.moving), self.moving):
@@ -358,7 +350,8 @@ class _Builder:
         if not all(hasattr(soft, name) for name in ("value", "lower", "upper", "weight")):
             raise InputError(path, f"of type {type(soft).__name__}", allowed="Soft(value, lower, upper, weight)")
         value = self._expression(path, soft.value)
-        low, high = (self._end(f"{path}.{name}", getattr(soft, name), j) for j, name in enumerate(("lower", "upper")))
+        sides = (("lower", -np.inf), ("upper", np.inf))
+        low, high = (self._expression(f"{path}.{name}", getattr(soft, name), absent=end) for name, end in sides)
         if low.is_minus_inf() and high.is_inf():
             raise InputError(path, "has no limit", allowed="lower, upper, or both")
         weight = self._expression(f"{path}.weight", soft.weight, given=True)

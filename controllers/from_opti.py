@@ -175,9 +175,8 @@ def _problem(kind: type[OptiController], fixed: Any, gains: tuple[str, ...], for
     given = {
         "opti": opti, "x": x, "delta_prev": delta_prev,
         "lane": Names(
-            f"{kind.name}.lane", yaw_rate=nodes[0, :].T, curvature=nodes[0, :].T / numbers["v"],
+            f"{kind.name}.lane", yaw_rate=nodes[0, :].T, curvature=nodes[0, :].T / numbers["v"], v=numbers["v"],
             steady_e_psi=nodes[LANE + 2, :].T, steady_delta=P[3, :].T, offset=numbers.pop("offset"), dt=numbers["dt"],
-            v=numbers["v"],
         ),
         "vehicle": Names(
             f"{kind.name}.vehicle", **numbers, riccati=riccati,

@@ -274,7 +274,7 @@ def _check(design: PredictiveController, form: Formulation, base: FloatArray, N:
         for kind, i in (("u.delta", 0), ("u.change", 2)):
             if not bounds[i] <= 0.0 <= bounds[i + 1]:
                 value = f"{bounds[i][0]:g} to {bounds[i + 1][0]:g} rad at k = {k}"
-                allowed = f"limits of {kind}, low <= 0 <= high on a straight lane"
+                allowed = f"limits of {kind}, low <= 0 <= high"
                 raise InputError(f"{design.name}.stage.hard", value=value, allowed=allowed)
         for row, low, high, linear in zip(form.soft, *bounds[4:7], strict=True):
             path, at = f"{design.name}.stage.soft[{row.soft}]", f"at k = {k + row.end}"

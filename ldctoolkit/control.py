@@ -378,10 +378,9 @@ def check_class(controller: type[Controller]) -> None:
         if not isinstance(value, str) or not value:
             raise InputError(path, value=value, allowed="a non-empty string, ClassVar[str]")
     own, fields = vars(controller), {field.name for field in dataclasses.fields(controller)}
-    inherited = sorted({name for base in controller.__mro__[1:] for name in vars(base)} - own.keys() - fields)
-    for name in own.keys() - fields:
-        is_new = name[0] != "_" and not any(hasattr(base, name) for base in controller.__bases__)
-        if is_new and (close := closest(name, inherited, 0.85)):
+    known = {name for base in controller.__mro__[1:] for name in vars(base)}
+    for name in own.keys() - fields - known:
+        if name[0] != "_" and (close := closest(name, sorted(known - own.keys() - fields), 0.85)):
             raise InputError(f"{called}.{name}", "is never used", hint=f"did you mean {close!r}?")
     for field in dataclasses.fields(controller):
         if any(inspect.isroutine(vars(base).get(field.name)) for base in controller.__mro__[1:]):

@@ -343,8 +343,8 @@ class DesignBlock(Part):
     def _check(cls, block: Any, info: ValidationInfo) -> Any:
         if not isinstance(block, dict):
             return block
-        if "law" not in block:  # the field's own message says what is missing, and others that keys are wrong
-            return {key: entry for key, entry in block.items() if key not in ("y_s", "gains", "when")}
+        if "law" not in block:  # the field's own message says so, or that the key is another
+            return {key: block[key] for key in block.keys() - {"y_s", "gains", "when"}}
         checked = dict(block)
         names, kinds = _read_laws(block["law"], info.context)
         checked["law"] = names[0] if len(names) == 1 else names

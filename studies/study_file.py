@@ -566,9 +566,7 @@ def study(
 def _block(design: object, y_s: float | Sequence[float], classes: dict[str, type[Controller]]) -> dict[str, Any]:
     """A ``[[design]]`` table."""
     if isinstance(design, dict):
-        laws = design.get("law", "")
-        named = [_named(law, classes) for law in laws] if isinstance(laws, list | tuple) else _named(laws, classes)
-        return {"y_s": y_s, **design} | ({"law": named} if "law" in design else {})
+        return {"y_s": y_s} | {key: _named(entry, classes) if key == "law" else entry for key, entry in design.items()}
     law = _named(type(design) if isinstance(design, Controller) else design, classes)
     if not isinstance(law, str):
         allowed = 'a controller, its class or name, or {"law": ..., "gains": {...}}, each an argument of its own'
@@ -578,7 +576,9 @@ def _block(design: object, y_s: float | Sequence[float], classes: dict[str, type
 
 
 def _named(law: Any, classes: dict[str, type[Controller]]) -> Any:
-    """The name of a class of laws, which is made known; anything else as it is."""
+    """The names of classes of laws, which are made known; anything else as it is."""
+    if isinstance(law, list | tuple):
+        return [_named(each, classes) for each in law]
     if not (isinstance(law, type) and issubclass(law, Controller)):
         return law
     if law.name not in controller_names() or controller_class(law.name) is not law:

@@ -176,14 +176,10 @@ def markdown_text(text: str) -> str:
 
 def to_text(table: Table) -> str:
     """A table in columns of plain text, without its title."""
-    columns = [*zip([column.heading for column in table.columns], *map(table.texts, table.rows), strict=True)]
-    widths = [max(map(len, column)) for column in columns]
-    aligned = [str.ljust if column.text else str.rjust for column in table.columns]
-    rows = (
-        "  ".join(a(text, w) for a, text, w in zip(aligned, row, widths, strict=True))
-        for row in zip(*columns, strict=True)
-    )
-    return "\n".join(map(str.rstrip, rows))
+    rows = [[column.heading for column in table.columns], *map(table.texts, table.rows)]
+    cells = zip(table.columns, *rows, strict=True)
+    line = "  ".join(f"{{:{'<' if column.text else '>'}{max(map(len, texts))}}}" for column, *texts in cells)
+    return "\n".join(line.format(*row).rstrip() for row in rows)
 
 
 def to_markdown(table: Table) -> str:

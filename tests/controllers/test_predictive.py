@@ -736,14 +736,14 @@ FAULTS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "an end that is no number": (hard(lambda x, u, k: [(u.delta, -1.0, np.nan)]), "stage.hard[0][2]", {}),
     "infeasible limits": (
         hard(lambda x, u, k: [(u.delta, 0.1, 0.2), (u.delta, -0.2, 0.0)]), "stage.hard",
-        {"value": "0.1 to 0 rad at k = 0", "allowed": "limits of u.delta, low <= 0 <= high on a straight lane"},
+        {"value": "0.1 to 0 rad at k = 0", "allowed": "limits of u.delta, low <= 0 <= high"},
     ),
     "no straight driving": (
         hard(lambda x, u, k: [(u.delta, 0.01, 0.1)]), "stage.hard", {"value": "0.01 to 0.1 rad at k = 0"},
     ),
     "infeasible later": (
         hard(lambda x, u, k: [(u.change, -0.1, 0.1 - 0.05 * k)]), "stage.hard",
-        {"value": "-0.1 to -0.05 rad at k = 3", "allowed": "limits of u.change, low <= 0 <= high on a straight lane"},
+        {"value": "-0.1 to -0.05 rad at k = 3", "allowed": "limits of u.change, low <= 0 <= high"},
     ),
     "crossed soft limits": (
         soft(lambda x, u, lane, k: [Soft(x.a_y, upper=x.e_y), Soft(x.e_y, 1.0, -1.0)]), "stage.soft[1]",
