@@ -54,7 +54,7 @@ def from_opti(
     build : callable
         Returns the N commands [rad], N being its gain `horizon`. Takes by name those that it needs of ``opti``; ``x``
         (4), the state where the first command steers; ``delta_prev`` [rad], the command before; ``lane`` with yaw_rate,
-        curvature, steady_e_psi (N + 1), steady_delta (N), offset and dt, as in `PredictiveController.stage`;
+        curvature, steady_e_psi (N + 1), steady_delta (N), offset, dt and v, as in `PredictiveController.stage`;
         ``vehicle`` with C_af, C_ar, l_f, l_r, m, I_z, mu, v, dt, ``sample(x, delta, k)``, the state after sample k,
         ``a_y(x, delta, k)``, lateral acceleration beyond the lane's at its start, and ``riccati(q, r)``, the cost
         (4, 4) of the LQR with weights q (4) on x and r on delta. Arguments with defaults are gains: numbers, or what

@@ -50,7 +50,7 @@ class Soft:
     """
 
     value: Any  # CasADi scalar of x, u, lane, k and gains
-    # The same; infinite for no limit
+    # The same; infinite or None for no limit
     lower: Any = -np.inf
     upper: Any = np.inf
     weight: Any = 1e3  # > 0, of gains, lane and k
@@ -67,7 +67,7 @@ class Stage:
     """
 
     cost: Any  # CasADi scalar
-    # (expression, low, high): of u.delta or of u.change, linear in it; the ends of gains, lane and k
+    # (expression, low, high): of u.delta or of u.change, linear in it; the ends of gains, lane and k, or None
     hard: Sequence[tuple[Any, Any, Any]] = ()
     soft: Sequence[Soft] = ()
 
@@ -101,7 +101,7 @@ class PredictiveController(Controller):
     """States beyond e_y, e_y_rate, e_psi, e_psi_rate; one named ``wheel`` is the angle of the wheels."""
 
     move_blocks: ClassVar[int] = 0
-    """Number of free moves, each held; 0 for one a sample."""
+    """Number of free moves, each held, at most one a sample; 0 for one a sample."""
 
     iterations: ClassVar[int] = 0
     """Iterations of each solve; 0 for as many as convergence takes."""
@@ -120,13 +120,13 @@ class PredictiveController(Controller):
         ----------
         x : e_y [m], e_y_rate [m/s], e_psi [rad], e_psi_rate [rad/s], the class's states, wheel [rad]
             State at the sample's start; `wheel` is the command before where no state has this name. In limits also
-            `a_y` [m/s^2], lateral acceleration beyond the lane's, and `jerk` [m/s^3], its mean change over 0.5 s; in
-            costs `a_y` just after the command.
+            `a_y` [m/s^2], lateral acceleration less v^2 c, and `jerk` [m/s^3], its mean change over 0.5 s; in costs
+            `a_y` just after the command.
         u : delta, change [rad]
             Command, and its change from the one before.
-        lane : yaw_rate [rad/s], curvature [1/m], steady_delta [rad], steady_e_psi [rad], offset [m], dt [s]
+        lane : yaw_rate [rad/s], curvature [1/m], steady_delta [rad], steady_e_psi [rad], offset [m], dt [s], v [m/s]
             Lane at the sample's start; steering angle and heading error of steady cornering there; e_y at which the
-            vehicle's edge is on the line that is crossed (on the other one: minus that); sample time.
+            vehicle's edge is on the line that is crossed (on the other one: minus that); sample time; speed.
         k : index of the sample
 
         Returns

@@ -274,7 +274,7 @@ def test_faults_are_named() -> None:
             prepared(build)
     with refused("weights.build: vehicle.riccati"):
         prepared(weights)
-    with refused("misspelt.lane.yaw_rat", UnknownNameError, allowed={"yaw_rate", "curvature"}):
+    with refused("misspelt.lane.yaw_rat", UnknownNameError, allowed={"yaw_rate", "curvature", "v"}):
         prepared(misspelt)
     with refused("commands.build"):
         prepared(commands, options={"ipopt.no_such_option": 1})
