@@ -157,7 +157,8 @@ def controller_class(name: str) -> type[Controller]:
         return _registered[name]
     point = entry_points(GROUP).get(name)
     if point is None:
-        raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names())
+        hint = "a class of your own needs an entry point, or ldctoolkit.register(...) in each program"
+        raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names(), hint=hint)
     return _load(name, point)
 
 

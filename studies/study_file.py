@@ -523,7 +523,7 @@ def study(
     Parameters
     ----------
     *designs : Controller, type, str or dict
-        Designs, classes or names of laws, or what a ``[[design]]`` table holds, as ``{"law": "lqr", "gains": {...}}``.
+        Designs, classes or names of laws, or what a ``[[design]]`` table holds, as ``{"law": LQR, "gains": {...}}``.
     y_s : float or (k,) float [m]
         Trigger thresholds of those that bring none.
     name : str
@@ -566,19 +566,26 @@ def study(
 def _block(design: object, y_s: float | Sequence[float], classes: dict[str, type[Controller]]) -> dict[str, Any]:
     """A ``[[design]]`` table."""
     if isinstance(design, dict):
-        return {"y_s": y_s, **design}
-    law = type(design) if isinstance(design, Controller) else design
-    if isinstance(law, type) and issubclass(law, Controller):
-        if law.name not in controller_names() or controller_class(law.name) is not law:
-            register(law)
-        if content_of(classes.setdefault(law.name, law)) != content_of(law):
-            raise InputError("design", "names two different laws", value=law.name, allowed="a name for each")
-        law = law.name
+        return {"y_s": y_s} | {key: _named(entry, classes) if key == "law" else entry for key, entry in design.items()}
+    law = _named(type(design) if isinstance(design, Controller) else design, classes)
     if not isinstance(law, str):
-        allowed = "a controller, its class, the name of a law, or a design table, each an argument of its own"
+        allowed = 'a controller, its class or name, or {"law": ..., "gains": {...}}, each an argument of its own'
         raise InputError("design", value=design, allowed=allowed)
     gains = {gain.name: getattr(design, gain.name) for gain in design.gains()} if isinstance(design, Controller) else {}
     return {"law": law, "gains": gains} | ({} if law == "none" else {"y_s": y_s})
+
+
+def _named(law: Any, classes: dict[str, type[Controller]]) -> Any:
+    """The names of classes of laws, which are made known; anything else as it is."""
+    if isinstance(law, list | tuple):
+        return [_named(each, classes) for each in law]
+    if not (isinstance(law, type) and issubclass(law, Controller)):
+        return law
+    if law.name not in controller_names() or controller_class(law.name) is not law:
+        register(law)
+    if content_of(classes.setdefault(law.name, law)) != content_of(law):
+        raise InputError("design", "names two different laws", value=law.name, allowed="a name for each")
+    return law.name
 
 
 def catalog_names() -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from ..standards import standard_names
 from ..storage.checked_parts import differences
 from ..storage.folder_files import write_text
 from ..study_file import Study
-from ..tables import Table, to_csv, to_polars
+from ..tables import Table, to_csv, to_polars, to_text
 from .design_metrics import (
     design_metrics,
     drivable_results,
@@ -45,7 +45,7 @@ from .finalists import (
     no_fresh_scores,
 )
 from .inference import Inference, Resampled, infer, spread_is_known, tail_text
-from .verdict import depths, ranking_html
+from .verdict import TOP, depths, listed_positions, ranking_html, ranking_table
 
 if TYPE_CHECKING:
     import polars as pl
@@ -153,6 +153,10 @@ class Ranking(RankedDesigns, Frame):
         table = to_polars(_table(self)).with_columns(pl.col("rank").cast(pl.Int64))
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
         return table.select(*first, pl.exclude(first))
+
+    def __str__(self) -> str:
+        table = ranking_table(self, listed_positions(self, TOP))
+        return "\n".join((table.title, to_text(table), *(f"Warning: {warning}" for warning in self.warnings)))
 
     def _repr_html_(self) -> str:
         """HTML for a notebook."""
