@@ -53,7 +53,7 @@ class Soft:
     # The same; infinite for no limit
     lower: Any = -np.inf
     upper: Any = np.inf
-    weight: Any = 1e3  # > 0, of gains, lane and k
+    weight: Any = 1e3  # > 0 on a straight lane, of gains, lane and k; where it reaches 0 there is no limit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,8 +102,8 @@ class PredictiveController(Controller):
     move_blocks: ClassVar[int] = 0
     """Number of free moves, each held; 0 for one a sample."""
 
-    iterations: ClassVar[int] = 0
-    """Iterations of each solve; 0 for as many as convergence takes."""
+    iterations: ClassVar[int | str] = "converged"
+    """Iterations of each solve, a whole number; ``"converged"``, or 0, for as many as convergence takes."""
 
     integrator: ClassVar[str] = "exponential"
     """``exponential`` (exact where the dynamics are linear), or ``rk4``."""
@@ -229,8 +229,11 @@ def _horizon(design: PredictiveController, form: Formulation) -> int:
     limits = {"horizon": 1, "move_blocks": 0, "iterations": 0}
     for name, least in limits.items():
         value = plain(getattr(design, name, None))
+        if isinstance(value, str) and (name, value) == ("iterations", "converged"):
+            continue
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise InputError(f"{design.name}.{name}", value=value, allowed=f"a whole number >= {least}")
+            allowed = f"a whole number >= {least}" + ', or "converged"' * (name == "iterations")
+            raise InputError(f"{design.name}.{name}", value=value, allowed=allowed)
     N = int(design.horizon)  # type: ignore[attr-defined]
     size = 8.0 * N * N * (4 * form.size + 3 * form.outputs + 4)
     if size > _MOST_BYTES:
@@ -552,6 +555,7 @@ class PlanningLaw(SteeringLaw):
         work.low[:], work.high[:] = low[0], high[0]
         work.low_change[:], work.high_change[:] = low_change, high_change
         solution = self._solve(work, history, soft, state, after, i)
+        solution.solved &= not bool(np.isnan([work.low, work.high]).any())  # limits that are no numbers
         command = float(solution.U[0])
         after.has_plan[i] = solution.solved
         of_angle, of_change = self.limited if solution.solved else (True, True)
@@ -609,16 +613,22 @@ class PredictiveLaw(PlanningLaw):
 
     rows: _SoftRows | None
 
+    @property
+    def most(self) -> int:
+        """Iterations of a solve; 0 for convergence."""
+        return 0 if self.design.iterations == "converged" else int(self.design.iterations)
+
     def _solve(
         self, work: Workspace, history: FloatArray, soft: list[FloatArray], state: Any, after: Any, i: int
     ) -> Solution:  # fmt: skip
         """By sequential quadratic programming, warm started from the last plan a sample later."""
         work.soft = None
         if self.rows is not None:
-            bounds = (np.ascontiguousarray(part).ravel() for part in soft)
+            bounds = np.stack([part.ravel() for part in soft])
+            bounds[:, bounds[3] <= 0.0] = [[-np.inf], [np.inf], [1.0], [1.0]]  # what costs nothing is no limit
             work.soft = SoftLimits(self.rows.rows, self.rows.before @ history, *bounds)
         warm = np.append(state.U[i, 1:], state.U[i, -1]) if state.has_plan[i] else None
-        return work.solve(warm, self.design.iterations)
+        return work.solve(warm, self.most)
 
 
 def _prepared(design: Controller, plant: Plant) -> Any:

@@ -164,7 +164,7 @@ REALISTIC = PlantOptions(
 )  # fmt: skip
 
 SWEPT = {"corridor": "r", "towed": "tau", "quadratic": "angle_max"}
-VALUES = {"r": [5e3, 1e4, 2e4], "tau": [0.08, 0.1, 0.15], "angle_max": [0.005, 0.01, 0.02]}
+VALUES = {"r": [5e3, 1e4, 2e4], "tau": [0.08, 0.1, 0.15], "angle_max": [0.01, 0.015, 0.02]}
 
 
 def study_of(*names: str, **counts: int) -> ldc.Study:
@@ -615,6 +615,9 @@ def test_a_few_iterations_a_sample_come_to_the_same_plan() -> None:
     prev = np.clip(prev, -0.02, 0.02)
     exact = Trend().prepare(plant)
     wanted = exact.step(np.zeros(n), x, preview, prev, exact.init(n))[1].U
+    until_converged = variant(Trend, name="until_converged", iterations=0)().prepare(plant)
+    same = until_converged.step(np.zeros(n), x, preview, prev, until_converged.init(n))[1].U
+    np.testing.assert_array_equal(same, wanted)  # the default is the word
     for iterations in (1, 2, 3):
         law = variant(Trend, name=f"few_{iterations}", iterations=iterations)().prepare(plant)
         state, errors = law.init(n), []
@@ -767,6 +770,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "a horizon too long": ({"horizon": 9000}, "horizon", {"value": 9000}),
     "moves below 0": ({"move_blocks": -1}, "move_blocks", {"value": -1}),
     "iterations in words": ({"iterations": "many"}, "iterations", {"value": "many"}),
+    "moves in words": ({"move_blocks": "converged"}, "move_blocks", {"value": "converged"}),
     "another integrator": ({"integrator": "euler"}, "integrator", {"value": "euler", "allowed": {"rk4"}}),
     "another Hessian": ({"hessian": "bfgs"}, "hessian", {"value": "bfgs", "allowed": {"exact", "gauss_newton"}}),
 }  # fmt: skip
