@@ -57,8 +57,8 @@ def export_scenarios(
     """Write departures as `Scenarios.to_openscenario` says; each main file, and what it shows."""
     expect("setup", setup, Setup | None)
     expect("outcome", outcome, Outcome | None)
-    choices = {"reference": ("centre_of_gravity", "rear_axle"), "format": ("openscenario", "csv")}
-    for (name, allowed), value in zip(choices.items(), (reference, format), strict=True):
+    choices = ("reference", reference, ("centre_of_gravity", "rear_axle")), ("format", format, ("openscenario", "csv"))
+    for name, value, allowed in choices:
         if value not in allowed:
             raise InputError(name, value=value, allowed=allowed)
     if outcome is not None and outcome.S.size != scenarios.n:
@@ -77,10 +77,8 @@ def export_scenarios(
         folder.mkdir(parents=True, exist_ok=True)
     for row, parts in zip(numbers, departures, strict=True):
         status = EventStatus.OK if outcome is None else EventStatus(int(outcome.status[row]))
-        about = (
-            f"departure {scenarios.index[row]} to the {'left' if scenarios.side[row] == LEFT else 'right'}, positions "
-        )
-        about += f"of the {reference.replace('_', ' ')}, {parts[0].t[0]:.4g} to {parts[-1].t[-1]:.4g} s, "
+        about = f"{'left' if scenarios.side[row] == LEFT else 'right'}, positions of the {reference.replace('_', ' ')}"
+        about = f"departure {scenarios.index[row]} to the {about}, {parts[0].t[0]:.4g} to {parts[-1].t[-1]:.4g} s, "
         about += f"control from {parts[-1].t[0]:.4g} s" if parts[-1].event == "trigger" else "recorded path"
         about += f": {status.name.lower().replace('_', ' ')}" if status else ""
         about += ", the path ends there" if status == EventStatus.DIVERGED else ""
@@ -121,10 +119,8 @@ def _departure(scenario: Scenarios, row: int, setup: Setup, outcome: Outcome | N
         t = t[np.append(np.diff(t) > _SHORTEST, True)]
         spline = CubicHermiteSpline(sample[:known], x[:known, ::2], x[:known, 1::2])
         speed = path.speed(t[None])[0] if np.isnan(fixed) else np.full(t.size, fixed)
-        delta = held[np.searchsorted(sample[:known], t, side="right") - 1]
-        parts.append(
-            _stretch("trigger", scenario, ahead, t, spline(t)[:, [0, 0, 1]], delta, speed, path.curvature(t[None])[0])
-        )
+        delta, c = held[np.searchsorted(sample[:known], t, side="right") - 1], path.curvature(t[None])[0]
+        parts.append(_stretch("trigger", scenario, ahead, t, spline(t)[:, [0, 0, 1]], delta, speed, c))
     if not parts or not over.valid[0]:
         raise InputError("rows", "cannot be driven", value=row)
     return parts
@@ -180,10 +176,8 @@ def _road(name: str, parts: list[_Stretch], setup: Setup, library: Any) -> bytes
         if abs(last - c) * length**2 < 1e-3 * _ROAD_ERROR:
             shape = xodr.Arc(c, length=length) if abs(c) > 1e-12 else xodr.Line(length)
         plan.add_fixed_geometry(shape, x, y, heading)
-    section, mark = (
-        xodr.LaneSection(0, xodr.Lane(xodr.LaneType.none)),
-        xodr.RoadMark(xodr.RoadMarkType.solid, width=_MARK),
-    )
+    section = xodr.LaneSection(0, xodr.Lane(xodr.LaneType.none))
+    mark = xodr.RoadMark(xodr.RoadMarkType.solid, width=_MARK)
     section.centerlane.add_roadmark(mark)
     section.add_left_lane(xodr.Lane(xodr.LaneType.shoulder, a=_SHOULDER))
     section.add_right_lane(xodr.standard_lane(width, mark))
