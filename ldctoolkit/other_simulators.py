@@ -51,10 +51,11 @@ class _Stretch(NamedTuple):
 
 
 def export_scenarios(
-    scenarios: Scenarios, folder: Path, rows: bool | npt.ArrayLike, outcome: Outcome | None, setup: Setup | None,
+    scenarios: Scenarios, folder: str | Path, rows: bool | npt.ArrayLike, outcome: Outcome | None, setup: Setup | None,
     reference: str, format: str,
 ) -> dict[Path, str]:  # fmt: skip
     """Write departures as `Scenarios.to_openscenario` says; each main file, and what it shows."""
+    expect("folder", folder, str | Path)
     expect("setup", setup, Setup | None)
     expect("outcome", outcome, Outcome | None)
     choices = ("reference", reference, ("centre_of_gravity", "rear_axle")), ("format", format, ("openscenario", "csv"))
@@ -63,7 +64,7 @@ def export_scenarios(
             raise InputError(name, value=value, allowed=allowed)
     if outcome is not None and outcome.S.size != scenarios.n:
         raise InputError("outcome", f"of {outcome.S.size} scenarios", allowed=f"one of these {scenarios.n}")
-    setup, chosen = setup or Setup(), path_rows(rows, scenarios.n, "rows")
+    folder, setup, chosen = Path(folder), setup or Setup(), path_rows(rows, scenarios.n, "rows")
     ahead = -setup.vehicle.l_r if reference == "rear_axle" else 0.0
     numbers = [] if chosen is None else chosen.tolist()
     try:

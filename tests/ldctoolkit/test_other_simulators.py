@@ -457,12 +457,12 @@ def test_the_same_departures_give_the_same_bytes(corrected: tuple[Path, ...], ou
     [
         ({"rows": [40]}, "rows"), ({"rows": [-1]}, "rows"), ({"rows": [2, 2]}, "rows"), ({"rows": [0.5]}, "rows"),
         ({"reference": "front"}, "reference"), ({"format": "xml"}, "format"), ({"setup": 1}, "setup"),
-        ({"outcome": 1}, "outcome"),
+        ({"outcome": 1}, "outcome"), ({"folder": 5}, "folder"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_written_is_named(options: dict[str, Any], path: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
-        SCENARIOS.to_openscenario(tmp_path / "none", **options)
+        SCENARIOS.to_openscenario(**({"folder": tmp_path / "none"} | options))
     assert raised.value.path == path
     assert not (tmp_path / "none").exists()
 
