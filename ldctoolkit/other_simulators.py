@@ -29,6 +29,7 @@ from ldctoolkit.version import __version__
 
 _COLUMNS: Final = "t_s,x_m,y_m,heading_rad,speed_m_s,wheel_angle_rad,trigger_time_s"
 _STEP: Final = 0.01  # [s] Between the points of a path, at most: straight lines between them stay within 0.2 mm
+_SHORTEST: Final = 1e-6  # [s] Between them, at least
 _ROAD_ERROR: Final = 5e-5  # [m] Most that an element of a road may leave the lane's centre line
 _BEFORE, _AFTER = 50.0, 100.0  # [m] Of road before and after the path, less in a narrow bend
 # what a simulator needs and the toolkit does not know, [m]: strip beside the lane, marks; length beyond the wheelbase,
@@ -50,19 +51,20 @@ class _Stretch(NamedTuple):
 
 
 def export_scenarios(
-    scenarios: Scenarios, folder: Path, rows: bool | npt.ArrayLike, outcome: Outcome | None, setup: Setup | None,
+    scenarios: Scenarios, folder: str | Path, rows: bool | npt.ArrayLike, outcome: Outcome | None, setup: Setup | None,
     reference: str, format: str,
 ) -> dict[Path, str]:  # fmt: skip
     """Write departures as `Scenarios.to_openscenario` says; each main file, and what it shows."""
+    expect("folder", folder, str | Path)
     expect("setup", setup, Setup | None)
     expect("outcome", outcome, Outcome | None)
-    choices = {"reference": ("centre_of_gravity", "rear_axle"), "format": ("openscenario", "csv")}
-    for (name, allowed), value in zip(choices.items(), (reference, format), strict=True):
+    choices = ("reference", reference, ("centre_of_gravity", "rear_axle")), ("format", format, ("openscenario", "csv"))
+    for name, value, allowed in choices:
         if value not in allowed:
             raise InputError(name, value=value, allowed=allowed)
     if outcome is not None and outcome.S.size != scenarios.n:
         raise InputError("outcome", f"of {outcome.S.size} scenarios", allowed=f"one of these {scenarios.n}")
-    setup, chosen = setup or Setup(), path_rows(rows, scenarios.n, "rows")
+    folder, setup, chosen = Path(folder), setup or Setup(), path_rows(rows, scenarios.n, "rows")
     ahead = -setup.vehicle.l_r if reference == "rear_axle" else 0.0
     numbers = [] if chosen is None else chosen.tolist()
     try:
@@ -76,9 +78,9 @@ def export_scenarios(
         folder.mkdir(parents=True, exist_ok=True)
     for row, parts in zip(numbers, departures, strict=True):
         status = EventStatus.OK if outcome is None else EventStatus(int(outcome.status[row]))
-        about = f"departure {scenarios.index[row]} to the {'left' if scenarios.side[row] == LEFT else 'right'}"
-        about += f", {parts[0].t[0]:.4g} to {parts[-1].t[-1]:.4g} s, positions of the {reference.replace('_', ' ')}"
-        about += f", control from {parts[-1].t[0]:.4g} s" if parts[-1].event == "trigger" else ", recorded path"
+        about = f"{'left' if scenarios.side[row] == LEFT else 'right'}, positions of the {reference.replace('_', ' ')}"
+        about = f"departure {scenarios.index[row]} to the {about}, {parts[0].t[0]:.4g} to {parts[-1].t[-1]:.4g} s, "
+        about += f"control from {parts[-1].t[0]:.4g} s" if parts[-1].event == "trigger" else "recorded path"
         about += f": {status.name.lower().replace('_', ' ')}" if status else ""
         about += ", the path ends there" if status == EventStatus.DIVERGED else ""
         file = folder / f"departure-{scenarios.index[row]:06d}.{'xosc' if library else 'csv'}"
@@ -106,7 +108,7 @@ def _departure(scenario: Scenarios, row: int, setup: Setup, outcome: Outcome | N
         same = np.array_equal(path.scenarios.matrix(), scenario.matrix()) and path.scenarios.side == scenario.side
         if not same or abs(x[0, 0] - e_y) > 1e-6:
             raise InputError("outcome", f"is of other scenarios than no. {row}, or was driven with another setup")
-    if end > 0.0:
+    if end > _SHORTEST:
         t = np.linspace(0.0, end, 1 + math.ceil(end / _STEP))[None]
         columns = t, *over.recorded_motion(t), over.path.speed(t), over.path.curvature(t)
         parts.append(_stretch("recorded", scenario, ahead, *(column[0] for column in columns), backwards=known > 0))
@@ -115,12 +117,11 @@ def _departure(scenario: Scenarios, row: int, setup: Setup, outcome: Outcome | N
 
         pieces = math.ceil(np.nanmax(np.diff(sample)) / _STEP)
         t = np.interp(np.arange((known - 1) * pieces + 1) / pieces, np.arange(known), sample[:known])
+        t = t[np.append(np.diff(t) > _SHORTEST, True)]
         spline = CubicHermiteSpline(sample[:known], x[:known, ::2], x[:known, 1::2])
         speed = path.speed(t[None])[0] if np.isnan(fixed) else np.full(t.size, fixed)
-        delta = held[np.arange(t.size) // pieces]
-        parts.append(
-            _stretch("trigger", scenario, ahead, t, spline(t)[:, [0, 0, 1]], delta, speed, path.curvature(t[None])[0])
-        )
+        delta, c = held[np.searchsorted(sample[:known], t, side="right") - 1], path.curvature(t[None])[0]
+        parts.append(_stretch("trigger", scenario, ahead, t, spline(t)[:, [0, 0, 1]], delta, speed, c))
     if not parts or not over.valid[0]:
         raise InputError("rows", "cannot be driven", value=row)
     return parts
@@ -176,10 +177,8 @@ def _road(name: str, parts: list[_Stretch], setup: Setup, library: Any) -> bytes
         if abs(last - c) * length**2 < 1e-3 * _ROAD_ERROR:
             shape = xodr.Arc(c, length=length) if abs(c) > 1e-12 else xodr.Line(length)
         plan.add_fixed_geometry(shape, x, y, heading)
-    section, mark = (
-        xodr.LaneSection(0, xodr.Lane(xodr.LaneType.none)),
-        xodr.RoadMark(xodr.RoadMarkType.solid, width=_MARK),
-    )
+    section = xodr.LaneSection(0, xodr.Lane(xodr.LaneType.none))
+    mark = xodr.RoadMark(xodr.RoadMarkType.solid, width=_MARK)
     section.centerlane.add_roadmark(mark)
     section.add_left_lane(xodr.Lane(xodr.LaneType.shoulder, a=_SHOULDER))
     section.add_right_lane(xodr.standard_lane(width, mark))

@@ -260,7 +260,7 @@ class Scenarios(DepartureParameters):
         ['departure-000000.xosc']
         """
         export = importlib.import_module("ldctoolkit.other_simulators").export_scenarios  # it lies above
-        return tuple(export(self, Path(folder), rows, outcome, setup, reference, format))
+        return tuple(export(self, folder, rows, outcome, setup, reference, format))
 
     def arrays(self) -> Iterator[npt.NDArray[Any]]:
         """All arrays that describe the scenarios, always in the same order."""

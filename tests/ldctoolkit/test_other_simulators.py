@@ -341,10 +341,8 @@ def assert_on_the_road(file: Path, side: int, t: Array, e_y: Array) -> None:
     for time, expected in zip(t, e_y, strict=True):
         here = vertices[np.argmin(np.abs(vertices[:, 0] - time))]
         assert here[0] == pytest.approx(time, abs=1e-7)
-        gap = [np.hypot(*(np.array(road.pose(s)[:2]) - here[1:3])) for s in np.arange(40.0, road.length - 60.0, 1.5)]
-        assert side * road.beside(here[1], here[2], 40.0 + 1.5 * int(np.argmin(gap)))[1] == pytest.approx(
-            expected, abs=1e-3
-        )
+        gap = [np.hypot(*(np.array(road.pose(s)[:2]) - here[1:3])) for s in np.arange(0.0, road.length, 1.5)]
+        assert side * road.beside(here[1], here[2], 1.5 * int(np.argmin(gap)))[1] == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize("trigger", ["distance", "ttlc"])
@@ -403,6 +401,28 @@ def test_recorded_signals_and_drifts(tmp_path: Path) -> None:
     assert [element[-2:] for element in Road(file.with_suffix(".xodr")).elements] == [(0.0, 0.0)] * 3
 
 
+def test_a_narrow_bend_and_a_trigger_just_before_the_end(tmp_path: Path) -> None:
+    """The road ends before it meets itself; no two points have one time."""
+    bend = ldc.Scenarios.from_arrays(T=3.0, d_y=0.4, v_mean=8.0, c_0=-0.1, side=["left", "right"])
+    for file, side in zip(bend.to_openscenario(tmp_path), (1, -1), strict=True):
+        elements = Road(file.with_suffix(".xodr")).elements
+        assert [element[4] for element in elements] == pytest.approx([10.0, 24.0, 10.0])
+        assert elements[0][-2:] == pytest.approx((-0.1 * side, -0.1 * side))
+        assert_on_the_road(file, side, np.array([0.0, 1.5, 3.0]), EDGE + np.array([0.0, 0.4, 0.0]))
+    signals = ldc.DepartureSignals(
+        np.array([0, 5]), np.array([0.0, 1.0, 2.0, 2.5, 3.0]), np.array([0.0, 0.1, 0.2, 0.3 + 2e-8, 0.0]),
+        np.full(5, 20.0), np.zeros(5),
+    )  # fmt: skip
+    late = dataclasses.replace(ldc.Scenarios.from_arrays(T=3.0, d_y=0.4, v_mean=20.0), signals=signals)
+    for y_s in (0.3, 2e-8):
+        driven = ldc.simulate(ldc.LQR(), late, y_s, setup=ldc.Setup(dt=0.5 - 1e-9), trajectories=True)
+        (file,) = late.to_openscenario(tmp_path / "late", outcome=driven, setup=ldc.Setup(dt=0.5 - 1e-9))
+        read = events(file)
+        assert [*read] == ["recorded", "trigger"][y_s < 0.1 :]
+        for _, vertices in read.values():
+            assert np.diff(vertices[:, 0]).min() > 9e-7
+
+
 def test_departures_without_control_or_to_no_end(tmp_path: Path) -> None:
     """Never triggered: recorded. Diverged: up to the last sample."""
     few = ldc.Scenarios.from_arrays(T=4.0, d_y=[0.1, 0.6], v_mean=25.0, side=["left", "right"])
@@ -437,12 +457,12 @@ def test_the_same_departures_give_the_same_bytes(corrected: tuple[Path, ...], ou
     [
         ({"rows": [40]}, "rows"), ({"rows": [-1]}, "rows"), ({"rows": [2, 2]}, "rows"), ({"rows": [0.5]}, "rows"),
         ({"reference": "front"}, "reference"), ({"format": "xml"}, "format"), ({"setup": 1}, "setup"),
-        ({"outcome": 1}, "outcome"),
+        ({"outcome": 1}, "outcome"), ({"folder": 5}, "folder"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_written_is_named(options: dict[str, Any], path: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
-        SCENARIOS.to_openscenario(tmp_path / "none", **options)
+        SCENARIOS.to_openscenario(**({"folder": tmp_path / "none"} | options))
     assert raised.value.path == path
     assert not (tmp_path / "none").exists()
 
