@@ -62,15 +62,15 @@ _SHOWN: Final = {
     EventStatus.CRASHED: "crashed",
     EventStatus.BEYOND_DELTA_MAX: "taken over beyond delta_max, driven to the end",
 }
-_FAILURES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
+FAILURES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Trajectories(ReadOnly):
     """Paths of c chosen scenarios at the controller's samples and at the departure's end T.
 
-    `x`, `delta` and `a_y` are in the outward frame of the departure: those to the right are mirrored, so that e_y,
-    e_psi, the steering angle and a_y are positive to the right there. `world` gives them on their true side.
+    `x`, `delta`, `command` and `a_y` are in the outward frame of the departure: those to the right are mirrored, so
+    that e_y, e_psi, the steering angle and a_y are positive to the right there. `world` gives them on their true side.
 
     NaN after the end of the settling horizon, after the last sample inside the bound where a scenario diverged, and
     everywhere where it never triggered.
@@ -81,6 +81,7 @@ class Trajectories(ReadOnly):
     x: FloatArray  # (c, k, 4) State (e_y, de_y/dt, e_psi, de_psi/dt)
     delta: FloatArray  # (c, k) [rad] Steering angle of the wheel just after that time; in the last entry, at it
     a_y: FloatArray  # (c, k) [m/s^2] Lateral acceleration, axle forces over mass, at the moment of `delta`
+    command: FloatArray  # (c, k) [rad] Steering angle that the law commands at that time; in the last entry, before it
     path: UncorrectedPath  # Of the chosen scenarios, with the lane and the speed that are driven
     v: FloatArray  # (c,) [m/s] Speed where the plant keeps that of the trigger; NaN where it follows the path's
 
@@ -167,7 +168,7 @@ class Outcome(Frame):
             lines.append(("deepest beyond the line", f"{self.deepest[row]:.3f} m (no. {row})".replace("-", "\u2212")))
         counts = {status: np.count_nonzero(self.status == status) for status in EventStatus}
         lines += [(_SHOWN[status], f"{count:,}") for status, count in counts.items() if count]
-        lines.append(("failures", f"{sum(counts[status] for status in _FAILURES):,}"))
+        lines.append(("failures", f"{sum(counts[status] for status in FAILURES):,}"))
         if self.failed_solves.any():
             lines.append(("commands from a fallback", f"{int(self.failed_solves.sum()):,}"))
         n = self.S.size
@@ -414,13 +415,16 @@ def drive(
     return _drive_linear([law], takeover, rows, threads)[0]
 
 
-def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads: int | None = None) -> Iterator[Run]:
+def drive_many(
+    controllers: Iterable[Controller], takeover: Takeover, *, trajectories: PathChoice = False,
+    threads: int | None = None,
+) -> Iterator[Run]:  # fmt: skip
     """Drive several designs; linear laws go through the compiled loop together, so that scenarios are read once.
 
     Parameters
     ----------
     controllers : iterable of Controller
-    takeover, threads
+    takeover, trajectories, threads
         As in `drive`.
 
     Yields
@@ -428,7 +432,8 @@ def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads
     Run
         In the order of the designs; the same bits, and the same errors, as from `drive`.
     """
-    most = max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES))
+    rows = _path_rows(trajectories, takeover.scenarios.n)
+    most = max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES)) if rows is None else 1  # paths are those of one law
     waiting: list[LinearLaw] = []
     for controller in controllers:
         law = _checked_law(controller, takeover)
@@ -438,16 +443,16 @@ def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads
             and shape_of(law) == shape_of(waiting[0])
             and law.knows_actuator == waiting[0].knows_actuator
         ):
-            yield from _drive_linear(waiting, takeover, None, threads)
+            yield from _drive_linear(waiting, takeover, rows, threads)
             waiting = []
         if isinstance(law, LinearLaw):
             waiting.append(law)
         elif isinstance(law, SteeringLaw):
-            yield _drive_general(law, takeover, controller.name, None, threads)
+            yield _drive_general(law, takeover, controller.name, rows, threads)
         else:
             yield recorded_run(takeover)
     if waiting:
-        yield from _drive_linear(waiting, takeover, None, threads)
+        yield from _drive_linear(waiting, takeover, rows, threads)
 
 
 def _checked_law(controller: Controller, takeover: Takeover) -> Law:
@@ -690,5 +695,6 @@ def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray | None, trig
     # after the trigger the loop drives the fitted speed and curvature, of recorded paths too
     path = dataclasses.replace(over.path.take(rows), recorded=None)
     x = out[:, :, data.P_X : data.P_DELTA]
-    t, delta, a_y = (out[:, :, column] for column in (data.P_TIME, data.P_DELTA, data.P_A_Y))
-    return Trajectories(rows, t, x, delta, a_y, path, at_trigger[rows])
+    columns = (data.P_TIME, data.P_DELTA, data.P_A_Y, data.P_COMMAND)
+    t, delta, a_y, command = (out[:, :, column] for column in columns)
+    return Trajectories(rows, t, x, delta, a_y, command, path, at_trigger[rows])
