@@ -61,6 +61,10 @@ class ScenarioMetric:
     limit: float = math.nan  # What a standard allows, NaN where none says anything
     short: str = ""  # Another beginning of its aggregates' names: ``ay_p95`` for ``a_y_peak_p95``
 
+    def column(self, name: str) -> str:
+        """The column of a table for it, or an aggregate of it, of that name."""
+        return _column(name, self.unit)
+
 
 _PURE: Final = ("ratio", "share", "count")  # units that no column's name ends with
 

@@ -18,12 +18,13 @@ from ldctoolkit.arrays import IntArray
 from ldctoolkit.control import EventStatus, LinearLaw, SteeringLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import declared_law, raised
-from ldctoolkit.metrics import METRIC_UNITS
+from ldctoolkit.metrics import METRIC_UNITS, UserMetric
 from ldctoolkit.registry import controller_class
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
+from ldctoolkit.simulation.sampled_paths import PathSampler
 from ldctoolkit.vehicle import Convention
 
 from ..design import NO_CONTROL, Design
@@ -40,6 +41,7 @@ class Job:
     window: Window
     laws: bytes = b""  # controller classes that no installed package offers; empty where there are none
     time_limit: float = 0.0  # [s]: of one task; 0 for none
+    metrics: bytes | tuple[UserMetric, ...] = ()  # of a designer; pickled for another process
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -52,6 +54,7 @@ class Done:
 
 
 _SCORES = 2  # first columns of a result: S and S_uncorrected
+_TOOLKIT = _SCORES + len(METRIC_UNITS)  # columns before those of designers' metrics
 _TAKEOVERS = 8  # of a simulator
 _JOBS = 2  # of a process
 
@@ -64,6 +67,7 @@ class Simulator:
 
     def __init__(self, job: Job) -> None:
         self.job = job
+        self._metrics: tuple[UserMetric, ...] = unpickled(job.metrics) if isinstance(job.metrics, bytes) else job.metrics
         self._takeovers: OrderedDict[tuple[float, bytes], Takeover] = OrderedDict()
 
     def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
@@ -79,14 +83,16 @@ class Simulator:
     def run(self, task: Task) -> Done:
         """Every design of a task; one whose law raises, or gives what no law may give, has failed."""
         started = time.perf_counter()
-        room = _Room(task)
+        room = _Room(task, self._metrics)
         reasons: dict[int, str] = {}
-        # stretches of designs with the same threshold
-        ends = [i for i in range(1, len(task.designs)) if task.designs[i].y_s != task.designs[i - 1].y_s]
+        # stretches of designs with the same threshold; each alone where its paths are kept
+        ends = range(1, len(task.designs))
+        ends = [i for i in ends if self._metrics or task.designs[i].y_s != task.designs[i - 1].y_s]
         for first, last in itertools.pairwise([0, *ends, len(task.designs)]):
             # what this raises is no fault of a law
             takeover = self.takeover(task.designs[first].y_s, task.scenarios)
-            runs = drive_each(task.designs[first:last], takeover, self.job.setup.convention)
+            kept = takeover.rows if self._metrics else None
+            runs = drive_each(task.designs[first:last], takeover, self.job.setup.convention, kept)
             for i, run in zip(range(first, last), runs, strict=True):
                 if isinstance(run, str):
                     reasons[i] = run
@@ -102,7 +108,7 @@ class Simulator:
 
     def uncontrolled(self, task: Task, status: EventStatus) -> TaskResult:
         """The recorded paths with a status, as what counts where a law could not be run; no law's code is called."""
-        room = _Room(task)
+        room = _Room(task, self._metrics)
         for i, design in enumerate(task.designs):
             takeover = self.takeover(design.y_s, task.scenarios)
             room.put(i, recorded_run(takeover))
@@ -110,32 +116,40 @@ class Simulator:
         return room.result()
 
 
-def drive_each(designs: Sequence[Design], takeover: Takeover, convention: Convention) -> list[Run | str]:
-    """Drive designs of one threshold in one go over the scenarios; in place of a run the error that its law raised."""
+def drive_each(
+    designs: Sequence[Design], takeover: Takeover, convention: Convention, kept: IntArray | None = None
+) -> list[Run | str]:
+    """Drive designs of one threshold in one go over the scenarios; in place of a run the error that its law raised.
+
+    The paths of the scenarios with the row numbers `kept` are in the runs.
+    """
+    trajectories: Any = False if kept is None else kept
+    controllers = (design.controller(convention) for design in designs)
     try:
-        return list(drive_many([design.controller(convention) for design in designs], takeover, threads=1))
+        return list(drive_many([*controllers], takeover, trajectories=trajectories, threads=1))
     except (KeyboardInterrupt, GeneratorExit):  # end a study even where a law raises them
         raise
     except BaseException as error:  # a controller may be third-party code
         if len(designs) == 1:
             return [raised(error)]
         # one after the other, which tells the design that raises
-        return [run for design in designs for run in drive_each([design], takeover, convention)]
+        return [run for design in designs for run in drive_each([design], takeover, convention, kept)]
 
 
 class _Room:
     """Room for the results of a task."""
 
-    def __init__(self, task: Task) -> None:
-        self.task = task
+    def __init__(self, task: Task, metrics: Sequence[UserMetric]) -> None:
+        self.task, self.metrics = task, metrics
         self.rows = task.rows.size
         k = len(task.designs)
-        self.values = np.empty((_SCORES + len(METRIC_UNITS), k, self.rows))
+        self.values = np.empty((_TOOLKIT + len(metrics), k, self.rows))
         self.status = np.empty((k, self.rows), dtype=np.int8)
         self.failed_solves = np.empty((k, self.rows), dtype=np.int32)
         self.law_seconds = np.zeros(k)
         self.commands = np.zeros(k, dtype=np.int64)
         self._takeover: Takeover | None = None
+        self._sampler: PathSampler | None = None
         self._recorded = np.zeros((0, 0))
         self._not_driven = np.zeros(0, dtype=np.int8)
         self._commands = 0
@@ -145,12 +159,15 @@ class _Room:
         over, windows = run.takeover, (self.task.job.window,)
         if over is not self._takeover:  # designs of one threshold share what they do not change
             self._takeover, self._recorded = over, run.columns(windows)
+            self._sampler = PathSampler(over, self.metrics) if self.metrics else None
             self._not_driven = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
             # scenarios times samples that there is a command for; one that diverges counts as if driven to the end
             self._commands = int(np.sum(over.steps))
         values, rows = self.values[:, i], over.rows
-        values[:] = self._recorded
+        values[:_TOOLKIT] = self._recorded
         run.fill(values, windows)
+        if self._sampler is not None:
+            values[_TOOLKIT:] = self._sampler.values(run)
         self.status[i] = self._not_driven
         self.status[i, rows] = run.status
         if not np.isfinite(values[:_SCORES]).all():
@@ -234,12 +251,16 @@ def _simulators(cache: dict[str, Any]) -> dict[str, Simulator]:
 
 def learn(laws: bytes) -> None:
     """Make controllers known that another process has."""
-    if not laws:
-        return
+    if laws:
+        with _lock:
+            registry.learn(unpickled(laws))
+
+
+def unpickled(content: bytes) -> Any:
+    """What another process pickled by value."""
     import cloudpickle
 
-    with _lock:
-        registry.learn(cloudpickle.loads(laws))
+    return cloudpickle.loads(content)
 
 
 def load_loops(laws: Iterable[str], scenarios: Scenarios, setup: Setup, y_s: float) -> None:
