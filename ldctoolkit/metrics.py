@@ -176,7 +176,12 @@ _SHOWN_UNITS: Final[Mapping[str, tuple[float, str]]] = {
 }
 """Unit -> factor and unit on a page; others stand as they are."""
 
-_AGGREGATES: Final[Mapping[str, str]] = {"mean": "mean", "median": "median", "min": "least", "max": "largest"}
+MEAN_OF_ALL: Final = "mean_all"
+"""The aggregate that designs can be ranked by: the mean over all departures, with or without an intervention."""
+
+_AGGREGATES: Final[Mapping[str, str]] = {
+    "mean": "mean", "median": "median", "min": "least", "max": "largest", MEAN_OF_ALL: "mean of all departures"
+}  # fmt: skip
 """Aggregate -> end of a title; ``p95`` is the 95 % quantile."""
 
 
@@ -204,8 +209,8 @@ class Metric:
     digits: int  # Decimals on a page, in its shown unit
     aliases: tuple[str, ...] = ()  # Other names beside the column
     of: tuple[str, ...] = ()  # The metrics of a scenario that it is taken from
-    # ``"mean"``, ``"median"``, ``"min"``, ``"max"``, or a quantile as ``"p95"``; empty for a share and for what comes
-    # from elsewhere
+    # ``"mean"``, ``"mean_all"``, ``"median"``, ``"min"``, ``"max"``, or a quantile as ``"p95"``; empty for a share and
+    # for what comes from elsewhere
     aggregate: str = ""
     # Of `Interventions` and the values of the metrics `of`, (d, n) each; gives (d,)
     share: Callable[..., Any] | None = None
@@ -322,7 +327,7 @@ METRICS: Final[Mapping[str, Metric]] = {**_RANKED, **RELEASE_METRICS}  # every m
 # ------------------------------------------------------------------------------------------------ of a designer
 
 USER_GROUP: Final = "user"  # `Metric.group` of designers' metrics
-USER_AGGREGATES: Final = ("mean", "median", "p5", "p95", "min", "max")
+USER_AGGREGATES: Final = ("mean", MEAN_OF_ALL, "median", "p5", "p95", "min", "max")
 
 
 @dataclasses.dataclass(frozen=True)

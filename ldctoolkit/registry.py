@@ -186,7 +186,7 @@ def from_file(text: str, folder: Path) -> Any:
     sys.modules[module_name] = module
     sys.path.insert(0, str(path.parent))  # what lies beside it can be imported
     try:
-        exec(compile(path.read_bytes(), path, "exec"), vars(module))  # noqa: S102 - never from a cache of bytecode
+        exec(compile(path.read_bytes(), path, "exec"), vars(module))  # never from a cache of bytecode
     except (Exception, SystemExit) as error:  # whatever a user's file raises
         del sys.modules[module_name]
         raise InputError("", f"cannot be loaded: {type(error).__name__}: {first_line(error)}", value=file) from error

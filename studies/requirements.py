@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
-from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT, METRICS, Metric, user_rows
+from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT, MEAN_OF_ALL, METRICS, Metric, user_rows
 from ldctoolkit.plant_options import PlantOptions
 
 from .standards import load_standard, standard_names
@@ -39,6 +39,14 @@ def metric(name: str) -> Metric:
         known_names = (*METRICS, *users, *standard_names())
         raise UnknownNameError("metric", "is no metric", value=name, hint=nearest(begun, known_names))
     return METRICS[known]
+
+
+def criterion(name: str) -> Metric:
+    """The metric of a design that `rank_by` stands for: S, or the mean of a designer's metric over all departures."""
+    means = {row.of[0]: row for row in user_rows().values() if row.aggregate == MEAN_OF_ALL}
+    if name != "S" and name not in means:
+        raise UnknownNameError(value=name, allowed=("S", *means), hint="a metric of your own stands in metrics, too")
+    return means.get(name, METRICS["S"])
 
 
 def metric_values(name: str, source: Any) -> FloatArray:

@@ -233,11 +233,28 @@ class StudyResults(Frame):
 
     def of_scenarios(self, name: str) -> FloatArray:
         """A metric of the scenarios by its name, the toolkit's or the designer's, (d, n)."""
-        values: FloatArray | None = getattr(self.metrics, name) if name in METRIC_COLUMNS else self.user_metrics.get(name)
+        values: FloatArray | None = (
+            getattr(self.metrics, name) if name in METRIC_COLUMNS else self.user_metrics.get(name)
+        )
         if values is None:
             hint = "run the study with it in metrics into the same folder"
             raise InputError("metric", "was not measured in this run", value=name, hint=hint)
         return values
+
+    def costs(self, rank_by: str) -> FloatArray:
+        """What a ranking is made of, (d, n): S as it counts, or a designer's metric, negative where more is better.
+
+        Raises `InputError` where a value is not finite. Not to be written into.
+        """
+        if rank_by == "S":
+            return self.counted
+        values, sign = self.of_scenarios(rank_by), -1.0 if scenario_metric(rank_by).better == "more" else 1.0
+        wrong = ~np.isfinite(values) & (self.status != EventStatus.INVALID)
+        if (rows := np.flatnonzero(wrong.any(axis=1))).size:
+            counted = f"{wrong[rows[0]].sum():,} departures of {self.designs[rows[0]].label}"
+            hint = "a mean would drop or hide it: let the metric be a number everywhere"
+            raise InputError("ranking.rank_by", f"not finite in {counted}", value=rank_by, hint=hint)
+        return sign * values
 
     @functools.cached_property
     def drivable(self) -> BoolArray:

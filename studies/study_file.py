@@ -29,7 +29,7 @@ from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
-from ldctoolkit.metrics import UserMetric, declare
+from ldctoolkit.metrics import MEAN_OF_ALL, UserMetric, declare
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.registry import controller_class, controller_names, from_file, register
 from ldctoolkit.scenario_model import conditions
@@ -41,7 +41,7 @@ from ldctoolkit.vehicle.bicycle import VehicleParameters
 
 from .design import Design
 from .design_space import DesignBlock, check_blocks
-from .requirements import SETS, metric, parse_requirement
+from .requirements import SETS, criterion, metric, parse_requirement
 from .standards import standard_names
 
 VehicleName = Literal["light", "heavy", "soft", "stiff"]
@@ -98,6 +98,8 @@ def read_table(kind: type, table: dict[str, Any], prefix: str = "") -> Any:
 class RankingSettings(Part):
     """``[ranking]``."""
 
+    # What designs are ranked by: mean S, or the mean of one of the designer's metrics over all departures
+    rank_by: Annotated[str, AfterValidator(lambda name: (criterion(name).of or ("S",))[0])] = "S"
     bootstrap: int = Field(default=2000, ge=100, le=1_000_000)  # Resamples of the scenarios behind every interval
     confidence: float = Field(default=0.95, gt=0, lt=1)  # Of the intervals, all designs together
     # The design that all others are compared with beside the best: a law's name (its first design), or the start of a
@@ -257,7 +259,7 @@ def _vehicle(entry: Any) -> Any:
 
 def _user_metrics(entry: Any) -> Any:
     """Designers' metrics, as objects or as `UserMetric.content`; each of its own name."""
-    metrics = []
+    metrics: list[UserMetric] = []
     for i, value in enumerate(entry if isinstance(entry, tuple) else (entry,)):
         metric = UserMetric(**value) if isinstance(value, dict) and "code" in value else value
         if not isinstance(metric, UserMetric):
@@ -328,10 +330,15 @@ class Study(Part):
     @model_validator(mode="before")
     @classmethod
     def _front_of_the_search(cls, content: Any) -> Any:
-        """Several objectives of a search are the metrics of the Pareto front, unless others are written down."""
+        """Several objectives of a search are the metrics of the Pareto front, unless others are written down; what
+        designs are ranked by is its objective where it names none.
+        """
         if not isinstance(content, dict) or not isinstance(content.get("search"), dict):
             return content
         objectives, ranking = content["search"].get("objectives"), content.get("ranking", {})
+        if objectives is None and isinstance(ranking, dict) and ranking.get("rank_by", "S") != "S":
+            of = f"{ranking['rank_by']}_{MEAN_OF_ALL}"
+            return content | {"search": content["search"] | {"objectives": (of,)}}
         several = isinstance(objectives, list | tuple) and len(objectives) > 1
         if not several or not isinstance(ranking, dict) or "pareto" in ranking:
             return content

@@ -167,13 +167,26 @@ class PathSampler:
             return out
 
         on_grid = number < samples[:, None]
-        e_y, angle = path.lateral(t) + over.setup.vehicle.edge_offset, laid(delta)
+        e_y, e_y_rate, e_psi, e_psi_rate = (laid(x[:, :, j]) for j in range(4))
+        angle, e_y_recorded = laid(delta), path.lateral(t) + over.setup.vehicle.edge_offset
         return Paths(
-            np.where(on_grid, t, np.nan), *(laid(x[:, :, j]) for j in range(4)), angle, angle, laid(a_y),
-            np.where(on_grid, v, np.nan), np.where(on_grid, curvature, np.nan),
-            np.where(on_grid & (t <= T + _SAME), e_y, np.nan), T[:, 0], np.full(rows.size, np.inf),
-            path.scenarios.side, self._dt, over.setup.vehicle,
-        )  # fmt: skip
+            t=np.where(on_grid, t, np.nan),
+            e_y=e_y,
+            e_y_rate=e_y_rate,
+            e_psi=e_psi,
+            e_psi_rate=e_psi_rate,
+            delta=angle,
+            command=angle,
+            a_y=laid(a_y),
+            v=np.where(on_grid, v, np.nan),
+            curvature=np.where(on_grid, curvature, np.nan),
+            e_y_recorded=np.where(on_grid & (t <= T + _SAME), e_y_recorded, np.nan),
+            T=T[:, 0],
+            t_s=np.full(rows.size, np.inf),
+            side=path.scenarios.side,
+            dt=self._dt,
+            vehicle=over.setup.vehicle,
+        )
 
     def _of_triggered(self, part: IntArray, k: int) -> _Batch:
         """A batch of driven scenarios, by their positions among these."""

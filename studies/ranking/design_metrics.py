@@ -21,6 +21,7 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import (
     DTLE_LIMIT,
+    MEAN_OF_ALL,
     METRICS,
     Interventions,
     Metric,
@@ -202,7 +203,10 @@ def _groups(results: StudyResults) -> list[list[Metric]]:
     """Group the metrics that share a metric of the scenarios, so that each of the latter is read once."""
     groups: list[list[Metric]] = []
     users = [scenario_metric(name) for name in results.user_metrics]
-    for added in (*METRICS.values(), *(row for one in users if isinstance(one, UserMetric) for row in one.rows.values())):
+    for added in (
+        *METRICS.values(),
+        *(row for one in users if isinstance(one, UserMetric) for row in one.rows.values()),
+    ):
         if added.aggregate or added.share is not None:
             joined = [group for group in groups if any(set(added.of) & set(other.of) for other in group)]
             groups = [group for group in groups if group not in joined]
@@ -216,7 +220,8 @@ def _aggregated(metric: Metric, by: Interventions, *values: FloatArray) -> Float
         return np.asarray(metric.share(by, *values))
     (only,) = values
     of_all = scenario_metric(metric.of[0]).over == "all"
-    if metric.aggregate == "mean":
+    of_all = of_all or metric.aggregate == MEAN_OF_ALL
+    if metric.aggregate in ("mean", MEAN_OF_ALL):
         return np.asarray(only.mean(axis=1)) if of_all else masked_mean(only, by.acted)
     if metric.aggregate == "max":
         return np.asarray(only.max(axis=1)) if of_all else masked_max(only, by.acted)

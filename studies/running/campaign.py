@@ -142,8 +142,9 @@ class Campaign:
             metrics=metrics_to_send(study.metrics) if executor.isolated and study.metrics else study.metrics,
         )
         # scenarios whose paths are in memory at a time
-        dt, T = study.simulation.dt, scenarios.T[np.isfinite(scenarios.T)].max(initial=0.0) + study.simulation.settle
-        self._most = max(_FEWEST_PATHS, int(_SAMPLES * dt / max(T, dt))) if study.metrics else len(scenarios)
+        dt, longest = self._job.setup.dt, float(scenarios.T[np.isfinite(scenarios.T)].max(initial=0.0))
+        samples = 1.0 + (longest + self._job.setup.settle) / dt
+        self._most = max(_FEWEST_PATHS, int(_SAMPLES / samples)) if study.metrics else max(len(scenarios), 1)
         self._seconds_a_run: dict[str, float] = {}  # of each law
         self._faults: dict[str, dict[int, Fault]] = defaultdict(dict)  # by row number
         self._failed: dict[str, int] = {}  # the first batch that it failed on
@@ -171,7 +172,9 @@ class Campaign:
         if missing:
             # in this process, each law once: workers would all compile the same
             if self.study.metrics:  # a mistake in one of them is found before a design runs
-                over = Takeover.build(self.scenarios.take(np.arange(min(8, len(self.scenarios)))), self._job.setup, y_s=0.0)
+                over = Takeover.build(
+                    self.scenarios.take(np.arange(min(8, len(self.scenarios)))), self._job.setup, y_s=0.0
+                )
                 PathSampler(over, self.study.metrics).values(recorded_run(over))
             laws = {part.designs[0].law for part in missing} - self._loaded
             self._loaded |= laws
@@ -194,8 +197,8 @@ class Campaign:
             laws[design.law].append(design)
         n, missing = len(self.scenarios), []
         for law in dict.fromkeys(design.law for design in designs):
-            size = min(laws[law][0].batch, max(self._most, 1))
-            for batch, rows in enumerate(np.array_split(np.arange(n), -(-n // size))):
+            batches = -(-n // min(laws[law][0].batch, self._most))
+            for batch, rows in enumerate(np.array_split(np.arange(n), batches)):
                 left = [design for design in laws[law] if not self.table.has(design.id, rows)]
                 if left:
                     missing.append(_Missing(batch, rows, left))

@@ -67,7 +67,9 @@ class Simulator:
 
     def __init__(self, job: Job) -> None:
         self.job = job
-        self._metrics: tuple[UserMetric, ...] = unpickled(job.metrics) if isinstance(job.metrics, bytes) else job.metrics
+        self._metrics: tuple[UserMetric, ...] = (
+            unpickled(job.metrics) if isinstance(job.metrics, bytes) else job.metrics
+        )
         self._takeovers: OrderedDict[tuple[float, bytes], Takeover] = OrderedDict()
 
     def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
@@ -86,8 +88,8 @@ class Simulator:
         room = _Room(task, self._metrics)
         reasons: dict[int, str] = {}
         # stretches of designs with the same threshold; each alone where its paths are kept
-        ends = range(1, len(task.designs))
-        ends = [i for i in ends if self._metrics or task.designs[i].y_s != task.designs[i - 1].y_s]
+        alone, designs = bool(self._metrics), task.designs
+        ends = [i for i in range(1, len(designs)) if alone or designs[i].y_s != designs[i - 1].y_s]
         for first, last in itertools.pairwise([0, *ends, len(task.designs)]):
             # what this raises is no fault of a law
             takeover = self.takeover(task.designs[first].y_s, task.scenarios)

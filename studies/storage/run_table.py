@@ -254,9 +254,7 @@ class RunTable:
         before = len(self.designs)
         fresh: dict[str, Any] = {
             "_S": np.empty(shape),
-            "_metrics": (_mapped if self._mapped else np.empty)(
-                (len(METRIC_UNITS) + len(self._study.metrics), *shape)
-            ),
+            "_metrics": (_mapped if self._mapped else np.empty)((len(METRIC_UNITS) + len(self._study.metrics), *shape)),
             "_status": np.empty(shape, dtype=np.int8),
             # zeros take no memory until something else is written
             "_failed_solves": np.zeros(shape, dtype=np.int32),
