@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -75,6 +75,7 @@ class Paths(Rows):
 
 
 _GRID: Final = ("t", "v", "curvature", "e_y_recorded")  # what no design changes
+_SAME: Final = 1e-9  # of a sample, or a time [s]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,127 +106,91 @@ class _Batch:
 
 
 class PathSampler:
-    """The paths of the designs of one takeover, and what designers' metrics make of them."""
+    """The paths of the designs of one takeover, and what designers' metrics make of them; n scenarios."""
 
-    def __init__(self, over: Takeover, metrics: Sequence[UserMetric]) -> None:
-        self._over, self._metrics, self._dt = over, metrics, over.setup.dt
-        self._before = np.floor(over.start / self._dt + _SAME).astype(np.int64)  # samples before the trigger, (m,)
-        samples = self._before + over.steps + (over.rest == 0.0)  # a last shorter step ends beside the grid
-        self._batches = [self._of_triggered(*part) for part in _by_length(samples)]
+    def __init__(self, over: Takeover, metrics: Sequence[UserMetric], *, controlled: bool = True) -> None:
+        self._over, self._metrics = over, metrics
+        position = np.full(over.scenarios.n, -1)  # among the driven scenarios
+        if controlled:
+            position[over.rows] = np.arange(over.m)
+        rows = np.flatnonzero(over.valid)
+        # samples of the recorded path, and of all; a last step that is shorter ends beside the grid
+        recorded, dt = np.where(position < 0, over.path.scenarios.T, over.t_s)[rows], over.setup.dt
+        before = np.floor(recorded / dt + _SAME).astype(np.int64) + (position[rows] < 0)
+        samples = before.copy()
+        samples[position[rows] >= 0] += (over.steps + (over.rest == 0.0))[position[rows][position[rows] >= 0]]
+        width = -(-samples // _WIDTH) * _WIDTH
+        parts = [(np.flatnonzero(width == k), k) for k in np.unique(width).tolist()]
+        self._batches = [self._batch(rows[i], position[rows[i]], before[i], samples[i], k) for i, k in parts]
+
+    @functools.cached_property
+    def recorded(self) -> FloatArray:
+        """Values of the c metrics on the recorded paths, from their start to T, (c, n)."""
+        batches = PathSampler(self._over, self._metrics, controlled=False)._batches
+        return self._measured((batch.rows, batch.paths) for batch in batches)
 
     def values(self, run: Run) -> FloatArray:
         """Values of the c metrics, (c, n); NaN for a scenario that cannot be driven.
 
         In a departure that failed a value is at least as bad as that of its recorded path, as it is in S.
         """
-        over, out = self._over, self._without.copy()
         if run.trajectories is None:  # no control acted
-            out[:, over.rows] = self._of_recorded(over.rows)
-            return out
-        for batch in self._batches:
-            out[:, batch.rows] = self._measured(batch.with_run(run.trajectories))
-        failed = over.rows[np.isin(run.status, FAILURES)]
-        recorded = self._of_recorded(failed)
-        for metric, values, bound in zip(self._metrics, out, recorded, strict=True):
-            values[failed] = (np.maximum if metric.better == "less" else np.minimum)(values[failed], bound)
+            return self.recorded
+        driven = run.trajectories
+        out = self._measured((batch.rows, batch.with_run(driven)) for batch in self._batches)
+        failed = self._over.rows[np.isin(run.status, FAILURES)]
+        for metric, values, bound in zip(self._metrics, out, self.recorded if failed.size else out, strict=True):
+            values[failed] = (np.maximum if metric.better == "less" else np.minimum)(values[failed], bound[failed])
         return out
 
-    @functools.cached_property
-    def _without(self) -> FloatArray:
-        """Values of the departures that are never taken over, (c, n)."""
+    def _measured(self, parts: Iterable[tuple[IntArray, Paths]]) -> FloatArray:
         out = np.full((len(self._metrics), self._over.scenarios.n), np.nan)
-        rows = np.flatnonzero(self._over.valid & ~np.isfinite(self._over.t_s))
-        out[:, rows] = self._of_recorded(rows)
+        for rows, paths in parts:
+            for values, metric in zip(out, self._metrics, strict=True):
+                values[rows] = checked_values(metric, paths)
         return out
 
-    def _of_recorded(self, rows: IntArray) -> FloatArray:
-        """Values of the recorded paths of some scenarios from their start to T, (c, r)."""
-        out = np.empty((len(self._metrics), rows.size))
-        samples = np.floor(self._over.path.scenarios.T[rows] / self._dt + _SAME).astype(np.int64) + 1
-        for part, k in _by_length(samples):
-            first, counts = np.zeros(part.size), samples[part]
-            out[:, part] = self._measured(self._recorded(rows[part], first, counts, counts, k))
-        return out
-
-    def _measured(self, paths: Paths) -> FloatArray:
-        return np.stack([checked_values(metric, paths) for metric in self._metrics])
-
-    def _recorded(self, rows: IntArray, first: FloatArray, known: IntArray, samples: IntArray, k: int) -> Paths:
-        """Recorded paths of g scenarios in arrays (g, k): a grid of `samples` (g,) from `first` (g,), a path `known`
-        (g,) samples long.
+    def _batch(self, rows: IntArray, position: IntArray, before: IntArray, samples: IntArray, k: int) -> _Batch:
+        """Scenarios `rows`, `position` among the driven ones or -1: `before` samples of the recorded path, `samples` in
+        all, in arrays of k; (g,) each.
         """
-        over, path = self._over, self._over.path.take(rows)
-        t, number = first[:, None] + self._dt * np.arange(k), np.arange(k)
-        short = t[:, : int(known.max())]
-        x, delta = over.recorded_motion(short, rows)
-        v, curvature, T = path.speed(t), path.curvature(t), path.scenarios.T[:, None]
-        a_y = path.lateral_acceleration(short) + (v**2 * curvature)[:, : short.shape[1]]
+        over, dt, number, path = self._over, self._over.setup.dt, np.arange(k), self._over.path.take(rows)
+        t_s = np.where(position < 0, np.inf, over.t_s[rows])
+        t = np.where(position < 0, 0.0, np.maximum(over.t_s[rows] - dt * before, 0.0))[:, None] + dt * number
+        recorded, on_grid = number < before[:, None], number < samples[:, None]
+        driven, T = on_grid & ~recorded & (position >= 0)[:, None], path.scenarios.T
+        p = int(before.max())
+        v, curvature = path.speed(t), path.curvature(t)
+        x, angle = over.recorded_motion(t[:, :p], rows)
+        a_y = path.lateral_acceleration(t[:, :p]) + (v**2 * curvature)[:, :p]
+        # after the trigger the loop drives the fitted speed and curvature, of recorded paths too
+        fitted = dataclasses.replace(path, recorded=None)
+        v_driven = fitted.speed(t)
+        if over.setup.options.speed == "frozen" and over.m:
+            v_driven = over.plant.v[position][:, None]
+        if path.recorded is not None:
+            curvature = np.where(driven, fitted.curvature(t), curvature)
 
-        def laid(values: FloatArray) -> FloatArray:
+        def kept(values: FloatArray, where: BoolArray) -> FloatArray:
             out = np.full(t.shape, np.nan)
-            out[:, : short.shape[1]] = np.where(number[: short.shape[1]] < known[:, None], values, np.nan)
+            out[:, : values.shape[1]] = np.where(where[:, : values.shape[1]], values, np.nan)
             return out
 
-        on_grid = number < samples[:, None]
-        e_y, e_y_rate, e_psi, e_psi_rate = (laid(x[:, :, j]) for j in range(4))
-        angle, e_y_recorded = laid(delta), path.lateral(t) + over.setup.vehicle.edge_offset
-        return Paths(
-            t=np.where(on_grid, t, np.nan),
-            e_y=e_y,
-            e_y_rate=e_y_rate,
-            e_psi=e_psi,
-            e_psi_rate=e_psi_rate,
-            delta=angle,
-            command=angle,
-            a_y=laid(a_y),
-            v=np.where(on_grid, v, np.nan),
-            curvature=np.where(on_grid, curvature, np.nan),
-            e_y_recorded=np.where(on_grid & (t <= T + _SAME), e_y_recorded, np.nan),
-            T=T[:, 0],
-            t_s=np.full(rows.size, np.inf),
-            side=path.scenarios.side,
-            dt=self._dt,
-            vehicle=over.setup.vehicle,
-        )
-
-    def _of_triggered(self, part: IntArray, k: int) -> _Batch:
-        """A batch of driven scenarios, by their positions among these."""
-        over, rows, before = self._over, self._over.rows[part], self._before[part]
-        full, rest, steps = over.full_steps[part], over.rest[part], over.steps[part]
-        count = steps + (rest == 0.0)
-        first = np.maximum(over.start[part] - self._dt * before, 0.0)
-        paths = self._recorded(rows, first, before, before + count, k)
-        driven = (np.arange(k) >= before[:, None]) & np.isfinite(paths.t)
-        # after the trigger the loop drives the fitted speed and curvature, of recorded paths too
-        fitted = dataclasses.replace(over.path.take(rows), recorded=None)
-        v = over.plant.v[part][:, None] if over.setup.options.speed == "frozen" else fitted.speed(paths.t)
-        curvature = fitted.curvature(paths.t) if over.path.recorded is not None else paths.curvature
-        row, place = np.nonzero(driven)
-        column = place - before[row]
+        e_y, e_y_rate, e_psi, e_psi_rate = (kept(x[:, :, j], recorded) for j in range(4))
+        delta = kept(angle, recorded)
+        paths = Paths(
+            kept(t, on_grid), e_y, e_y_rate, e_psi, e_psi_rate, delta, delta, kept(a_y, recorded),
+            kept(np.where(driven, v_driven, v), on_grid), kept(curvature, on_grid),
+            kept(path.lateral(t) + over.setup.vehicle.edge_offset, on_grid & (t <= T[:, None] + _SAME)), T, t_s,
+            path.scenarios.side, dt, over.setup.vehicle,
+        )  # fmt: skip
+        i, place = np.nonzero(driven)
+        row, column = position[i], place - before[i]
         # the paths of a run have T between two samples as an entry of its own
-        column += (column > full[row]) & ((rest > 0.0) & (steps - 1 > full))[row]
-        return _Batch(
-            rows,
-            dataclasses.replace(
-                paths,
-                v=np.where(driven, v, paths.v),
-                curvature=np.where(driven, curvature, paths.curvature),
-                t_s=over.start[part],
-            ),
-            part[row],
-            column,
-            row * k + place,
+        column += (
+            (column > over.full_steps[row]) & (over.rest[row] > 0.0) & (over.steps[row] - 1 > over.full_steps[row])
         )
-
-
-_SAME: Final = 1e-9  # of a sample, or a time [s]
-
-
-def _by_length(samples: IntArray) -> Iterator[tuple[IntArray, int]]:
-    """Positions of the departures of about one length, and the width of their arrays."""
-    width = -(-samples // _WIDTH) * _WIDTH
-    for k in np.unique(width).tolist():
-        yield np.flatnonzero(width == k), k
+        return _Batch(rows, paths, row, column, i * k + place)
 
 
 def checked_values(metric: UserMetric, paths: Paths) -> FloatArray:
