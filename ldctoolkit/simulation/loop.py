@@ -416,7 +416,7 @@ def drive(
 
 
 def drive_many(
-    controllers: Iterable[Controller], takeover: Takeover, *, trajectories: PathChoice = False,
+    controllers: Iterable[Controller], takeover: Takeover, *, paths: FloatArray | None = None,
     threads: int | None = None,
 ) -> Iterator[Run]:  # fmt: skip
     """Drive several designs; linear laws go through the compiled loop together, so that scenarios are read once.
@@ -424,16 +424,17 @@ def drive_many(
     Parameters
     ----------
     controllers : iterable of Controller
-    takeover, trajectories, threads
+    takeover, threads
         As in `drive`.
+    paths : (m, entries, PATH) float, optional
+        Where the paths of each design in turn are written, in the takeover's order; see `kernel.data`.
 
     Yields
     ------
     Run
         In the order of the designs; the same bits, and the same errors, as from `drive`.
     """
-    rows = _path_rows(trajectories, takeover.scenarios.n)
-    most = max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES)) if rows is None else 1  # paths are those of one law
+    most = max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES)) if paths is None else 1
     waiting: list[LinearLaw] = []
     for controller in controllers:
         law = _checked_law(controller, takeover)
@@ -443,16 +444,16 @@ def drive_many(
             and shape_of(law) == shape_of(waiting[0])
             and law.knows_actuator == waiting[0].knows_actuator
         ):
-            yield from _drive_linear(waiting, takeover, rows, threads)
+            yield from _drive_linear(waiting, takeover, None, threads, paths)
             waiting = []
         if isinstance(law, LinearLaw):
             waiting.append(law)
         elif isinstance(law, SteeringLaw):
-            yield _drive_general(law, takeover, controller.name, rows, threads)
+            yield _drive_general(law, takeover, controller.name, None, threads, into=paths)
         else:
             yield recorded_run(takeover)
     if waiting:
-        yield from _drive_linear(waiting, takeover, rows, threads)
+        yield from _drive_linear(waiting, takeover, None, threads, paths)
 
 
 def _checked_law(controller: Controller, takeover: Takeover) -> Law:
@@ -460,7 +461,10 @@ def _checked_law(controller: Controller, takeover: Takeover) -> Law:
     return check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
 
 
-def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None) -> list[Run]:
+def _drive_linear(
+    laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None,
+    into: FloatArray | None = None,
+) -> list[Run]:  # fmt: skip
     from ldctoolkit.simulation.kernel import entry
 
     d, m = len(laws), takeover.m
@@ -472,7 +476,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
     setting[data.COMMAND_RING] = max(setting[data.COMMAND_RING], past + 2)
     score = np.full((d, data.SCORES, m), np.nan)  # a scenario that is left out stays visible
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
-    paths, path_row, triggered = takeover.empty_paths(rows)
+    paths, path_row, triggered = takeover.empty_paths(rows, into)
 
     def drive_any(rows: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
         """The blocks of these rows, by the method of Runge and Kutta."""
@@ -511,11 +515,12 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
 
 
 def _drive_general(
-    law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None, *, plans: bool = False
-) -> Run:
+    law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None, *,
+    plans: bool = False, into: FloatArray | None = None,
+) -> Run:  # fmt: skip
     """Drive a law, solved for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
     m, stiff = takeover.m, takeover.stiff
-    paths, path_row, triggered = takeover.empty_paths(rows)
+    paths, path_row, triggered = takeover.empty_paths(rows, into)
     plants = [_Stretch(takeover, slice(0, stiff), np.zeros((3, 0, data.EXACT)), paths, path_row, threads)]
     if stiff < m:
         exact = np.ascontiguousarray(takeover.exact[:, stiff:])

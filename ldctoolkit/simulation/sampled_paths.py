@@ -15,7 +15,8 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, Rows, unmasked
 from ldctoolkit.errors import LdcError, first_line, short
-from ldctoolkit.simulation.loop import FAILURES, Run, Trajectories
+from ldctoolkit.simulation.kernel import data
+from ldctoolkit.simulation.loop import FAILURES, Run
 from ldctoolkit.simulation.takeover import Takeover
 
 if TYPE_CHECKING:
@@ -75,6 +76,10 @@ class Paths(Rows):
 
 
 _GRID: Final = ("t", "v", "curvature", "e_y_recorded")  # what no design changes
+_DRIVEN: Final = {
+    "e_y": data.P_X, "e_y_rate": data.P_X + 1, "e_psi": data.P_X + 2, "e_psi_rate": data.P_X + 3,
+    "delta": data.P_DELTA, "command": data.P_COMMAND, "a_y": data.P_A_Y,
+}  # fmt: skip
 _SAME: Final = 1e-9  # of a sample, or a time [s]
 
 
@@ -84,24 +89,20 @@ class _Batch:
 
     rows: IntArray  # (g,) Rows of the scenarios
     paths: Paths  # The recorded ones, up to the trigger where there is one
-    # (e,) Entries of a run: row and column in its arrays (m, .), and place in an array (g, k) that is laid flat
-    row: IntArray
-    column: IntArray
+    # (e,) Entries of a run's paths: position in an array (m, entries), and in an array (g, k), that are laid flat
+    source: IntArray
     place: IntArray
 
-    def with_run(self, run: Trajectories) -> Paths:
-        """The paths with what a run drove."""
-        there = np.flatnonzero(self.column < run.t.shape[1])
-        at, place = (self.row[there], self.column[there]), self.place[there]
-        x = run.x[at]
-        driven = {name: x[:, j] for j, name in enumerate(("e_y", "e_y_rate", "e_psi", "e_psi_rate"))}
-        driven |= {name: getattr(run, name)[at] for name in ("delta", "command", "a_y")}
-        ended = np.ones(self.place.size, dtype=np.bool_)
-        ended[there] = np.isnan(driven["e_y"])
-        driven |= dict.fromkeys(_GRID, np.array(np.nan)) if ended.any() else {}
-        arrays = {name: getattr(self.paths, name).copy() for name in driven}
-        for name, values in driven.items():
-            arrays[name].flat[self.place[ended] if name in _GRID else place] = values
+    def with_run(self, driven: FloatArray) -> Paths:
+        """The paths with what a run drove, (m, entries, PATH)."""
+        entries = driven.reshape(-1, data.PATH)[self.source]
+        arrays = {name: getattr(self.paths, name).copy() for name in _DRIVEN}
+        for name, column in _DRIVEN.items():
+            arrays[name].flat[self.place] = entries[:, column]
+        ended = np.isnan(entries[:, data.P_TIME])
+        for name in _GRID if ended.any() else ():
+            arrays[name] = getattr(self.paths, name).copy()
+            arrays[name].flat[self.place[ended]] = np.nan
         return dataclasses.replace(self.paths, **arrays)
 
 
@@ -109,10 +110,11 @@ class PathSampler:
     """The paths of the designs of one takeover, and what designers' metrics make of them; n scenarios."""
 
     def __init__(self, over: Takeover, metrics: Sequence[UserMetric], *, controlled: bool = True) -> None:
-        self._over, self._metrics = over, metrics
+        self.over, self._metrics = over, metrics
         position = np.full(over.scenarios.n, -1)  # among the driven scenarios
         if controlled:
             position[over.rows] = np.arange(over.m)
+        self.paths, _, _ = over.empty_paths(over.rows if controlled else over.rows[:0])  # of the run to be measured
         rows = np.flatnonzero(over.valid)
         # samples of the recorded path, and of all; a last step that is shorter ends beside the grid
         recorded, dt = np.where(position < 0, over.path.scenarios.T, over.t_s)[rows], over.setup.dt
@@ -126,25 +128,24 @@ class PathSampler:
     @functools.cached_property
     def recorded(self) -> FloatArray:
         """Values of the c metrics on the recorded paths, from their start to T, (c, n)."""
-        batches = PathSampler(self._over, self._metrics, controlled=False)._batches
+        batches = PathSampler(self.over, self._metrics, controlled=False)._batches
         return self._measured((batch.rows, batch.paths) for batch in batches)
 
     def values(self, run: Run) -> FloatArray:
-        """Values of the c metrics, (c, n); NaN for a scenario that cannot be driven.
+        """Values of the c metrics, (c, n), of the run that wrote `paths`; NaN for a scenario that cannot be driven.
 
         In a departure that failed a value is at least as bad as that of its recorded path, as it is in S.
         """
-        if run.trajectories is None:  # no control acted
+        if run.area is None:  # no control acted
             return self.recorded
-        driven = run.trajectories
-        out = self._measured((batch.rows, batch.with_run(driven)) for batch in self._batches)
-        failed = self._over.rows[np.isin(run.status, FAILURES)]
+        out = self._measured((batch.rows, batch.with_run(self.paths)) for batch in self._batches)
+        failed = self.over.rows[np.isin(run.status, FAILURES)]
         for metric, values, bound in zip(self._metrics, out, self.recorded if failed.size else out, strict=True):
             values[failed] = (np.maximum if metric.better == "less" else np.minimum)(values[failed], bound[failed])
         return out
 
     def _measured(self, parts: Iterable[tuple[IntArray, Paths]]) -> FloatArray:
-        out = np.full((len(self._metrics), self._over.scenarios.n), np.nan)
+        out = np.full((len(self._metrics), self.over.scenarios.n), np.nan)
         for rows, paths in parts:
             for values, metric in zip(out, self._metrics, strict=True):
                 values[rows] = checked_values(metric, paths)
@@ -154,7 +155,7 @@ class PathSampler:
         """Scenarios `rows`, `position` among the driven ones or -1: `before` samples of the recorded path, `samples` in
         all, in arrays of k; (g,) each.
         """
-        over, dt, number, path = self._over, self._over.setup.dt, np.arange(k), self._over.path.take(rows)
+        over, dt, number, path = self.over, self.over.setup.dt, np.arange(k), self.over.path.take(rows)
         t_s = np.where(position < 0, np.inf, over.t_s[rows])
         t = np.where(position < 0, 0.0, np.maximum(over.t_s[rows] - dt * before, 0.0))[:, None] + dt * number
         recorded, on_grid = number < before[:, None], number < samples[:, None]
@@ -190,7 +191,7 @@ class PathSampler:
         column += (
             (column > over.full_steps[row]) & (over.rest[row] > 0.0) & (over.steps[row] - 1 > over.full_steps[row])
         )
-        return _Batch(rows, paths, row, column, i * k + place)
+        return _Batch(rows, paths, row * self.paths.shape[1] + column, i * k + place)
 
 
 def checked_values(metric: UserMetric, paths: Paths) -> FloatArray:

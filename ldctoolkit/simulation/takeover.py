@@ -212,10 +212,15 @@ class Takeover:
             return self.m
         return int((_substeps(self.setup, self.plant.v) > data.STIFF).sum())
 
-    def empty_paths(self, rows: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
+    def empty_paths(
+        self, rows: IntArray | None, into: FloatArray | None = None
+    ) -> tuple[FloatArray, IntArray, IntArray]:
         """An array for the paths of chosen scenarios (c, entries, columns), its row of each driven scenario (m,) or -1,
-        and the positions in `rows` of those that triggered.
+        and the positions in `rows` of those that triggered. It is `into` for all driven scenarios, where given.
         """
+        if into is not None:
+            into.fill(np.nan)
+            return into, np.arange(self.m), np.arange(0)
         path_row = np.full(self.m, -1, dtype=np.int64)
         if rows is None:
             return np.zeros((0, 0, data.PATH)), path_row, path_row[:0]

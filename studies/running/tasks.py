@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import ldctoolkit.registry as registry
-from ldctoolkit.arrays import IntArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import EventStatus, LinearLaw, SteeringLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import declared_law, raised
@@ -70,6 +70,7 @@ class Simulator:
         self._metrics: tuple[UserMetric, ...] = (
             unpickled(job.metrics) if isinstance(job.metrics, bytes) else job.metrics
         )
+        self._sampler: PathSampler | None = None
         self._takeovers: OrderedDict[tuple[float, bytes], Takeover] = OrderedDict()
 
     def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
@@ -82,10 +83,17 @@ class Simulator:
         self._takeovers.move_to_end(key)
         return self._takeovers[key]
 
+    def _sampler_of(self, takeover: Takeover) -> PathSampler:
+        """The last one is kept: designs of one threshold share it."""
+        if self._sampler is None or self._sampler.over is not takeover:
+            self._sampler = None  # before another is made
+            self._sampler = PathSampler(takeover, self._metrics)
+        return self._sampler
+
     def run(self, task: Task) -> Done:
         """Every design of a task; one whose law raises, or gives what no law may give, has failed."""
         started = time.perf_counter()
-        room = _Room(task, self._metrics)
+        room = _Room(task, len(self._metrics))
         reasons: dict[int, str] = {}
         # stretches of designs with the same threshold; each alone where its paths are kept
         alone, designs = bool(self._metrics), task.designs
@@ -93,14 +101,15 @@ class Simulator:
         for first, last in itertools.pairwise([0, *ends, len(task.designs)]):
             # what this raises is no fault of a law
             takeover = self.takeover(task.designs[first].y_s, task.scenarios)
-            kept = takeover.rows if self._metrics else None
-            runs = drive_each(task.designs[first:last], takeover, self.job.setup.convention, kept)
+            sampler = self._sampler_of(takeover) if self._metrics else None
+            paths = sampler.paths if sampler else None
+            runs = drive_each(task.designs[first:last], takeover, self.job.setup.convention, paths)
             for i, run in zip(range(first, last), runs, strict=True):
                 if isinstance(run, str):
                     reasons[i] = run
                     continue
                 try:
-                    room.put(i, run)
+                    room.put(i, run, sampler)
                 except LdcError as error:
                     reasons[i] = raised(error)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
@@ -110,66 +119,62 @@ class Simulator:
 
     def uncontrolled(self, task: Task, status: EventStatus) -> TaskResult:
         """The recorded paths with a status, as what counts where a law could not be run; no law's code is called."""
-        room = _Room(task, self._metrics)
+        room = _Room(task, len(self._metrics))
         for i, design in enumerate(task.designs):
             takeover = self.takeover(design.y_s, task.scenarios)
-            room.put(i, recorded_run(takeover))
+            room.put(i, recorded_run(takeover), self._sampler_of(takeover) if self._metrics else None)
             room.status[i, takeover.rows] = status
         return room.result()
 
 
 def drive_each(
-    designs: Sequence[Design], takeover: Takeover, convention: Convention, kept: IntArray | None = None
+    designs: Sequence[Design], takeover: Takeover, convention: Convention, paths: FloatArray | None = None
 ) -> list[Run | str]:
     """Drive designs of one threshold in one go over the scenarios; in place of a run the error that its law raised.
 
-    The paths of the scenarios with the row numbers `kept` are in the runs.
+    The paths of a single design are written into `paths`.
     """
-    trajectories: Any = False if kept is None else kept
-    controllers = (design.controller(convention) for design in designs)
     try:
-        return list(drive_many([*controllers], takeover, trajectories=trajectories, threads=1))
+        return list(drive_many([design.controller(convention) for design in designs], takeover, paths=paths, threads=1))
     except (KeyboardInterrupt, GeneratorExit):  # end a study even where a law raises them
         raise
     except BaseException as error:  # a controller may be third-party code
         if len(designs) == 1:
             return [raised(error)]
         # one after the other, which tells the design that raises
-        return [run for design in designs for run in drive_each([design], takeover, convention, kept)]
+        return [run for design in designs for run in drive_each([design], takeover, convention)]
 
 
 class _Room:
     """Room for the results of a task."""
 
-    def __init__(self, task: Task, metrics: Sequence[UserMetric]) -> None:
-        self.task, self.metrics = task, metrics
+    def __init__(self, task: Task, metrics: int) -> None:
+        self.task = task
         self.rows = task.rows.size
         k = len(task.designs)
-        self.values = np.empty((_TOOLKIT + len(metrics), k, self.rows))
+        self.values = np.empty((_TOOLKIT + metrics, k, self.rows))
         self.status = np.empty((k, self.rows), dtype=np.int8)
         self.failed_solves = np.empty((k, self.rows), dtype=np.int32)
         self.law_seconds = np.zeros(k)
         self.commands = np.zeros(k, dtype=np.int64)
         self._takeover: Takeover | None = None
-        self._sampler: PathSampler | None = None
         self._recorded = np.zeros((0, 0))
         self._not_driven = np.zeros(0, dtype=np.int8)
         self._commands = 0
 
-    def put(self, i: int, run: Run) -> None:
+    def put(self, i: int, run: Run, sampler: PathSampler | None) -> None:
         """Results of one design."""
         over, windows = run.takeover, (self.task.job.window,)
         if over is not self._takeover:  # designs of one threshold share what they do not change
             self._takeover, self._recorded = over, run.columns(windows)
-            self._sampler = PathSampler(over, self.metrics) if self.metrics else None
             self._not_driven = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
             # scenarios times samples that there is a command for; one that diverges counts as if driven to the end
             self._commands = int(np.sum(over.steps))
         values, rows = self.values[:, i], over.rows
         values[:_TOOLKIT] = self._recorded
         run.fill(values, windows)
-        if self._sampler is not None:
-            values[_TOOLKIT:] = self._sampler.values(run)
+        if sampler is not None:
+            values[_TOOLKIT:] = sampler.values(run)
         self.status[i] = self._not_driven
         self.status[i, rows] = run.status
         if not np.isfinite(values[:_SCORES]).all():
