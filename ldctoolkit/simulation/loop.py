@@ -69,8 +69,8 @@ FAILURES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.
 class Trajectories(ReadOnly):
     """Paths of c chosen scenarios at the controller's samples and at the departure's end T.
 
-    `x`, `delta`, `command` and `a_y` are in the outward frame of the departure: those to the right are mirrored, so
-    that e_y, e_psi, the steering angle and a_y are positive to the right there. `world` gives them on their true side.
+    `x`, `delta` and `a_y` are in the outward frame of the departure: those to the right are mirrored, so that e_y,
+    e_psi, the steering angle and a_y are positive to the right there. `world` gives them on their true side.
 
     NaN after the end of the settling horizon, after the last sample inside the bound where a scenario diverged, and
     everywhere where it never triggered.
@@ -81,7 +81,6 @@ class Trajectories(ReadOnly):
     x: FloatArray  # (c, k, 4) State (e_y, de_y/dt, e_psi, de_psi/dt)
     delta: FloatArray  # (c, k) [rad] Steering angle of the wheel just after that time; in the last entry, at it
     a_y: FloatArray  # (c, k) [m/s^2] Lateral acceleration, axle forces over mass, at the moment of `delta`
-    command: FloatArray  # (c, k) [rad] Steering angle that the law commands at that time; in the last entry, before it
     path: UncorrectedPath  # Of the chosen scenarios, with the lane and the speed that are driven
     v: FloatArray  # (c,) [m/s] Speed where the plant keeps that of the trigger; NaN where it follows the path's
 
@@ -236,10 +235,16 @@ class Run:
     failed_solves: IntArray
     metrics: MetricValues
     step_seconds: FloatArray  # (k,) [s] Wall time of each call of the law's step; empty for a linear law
-    trajectories: Trajectories | None
+    # On request: paths (c, entries, PATH) as the compiled loops write them, of which rows, and which of these triggered
+    paths: tuple[FloatArray, IntArray, IntArray] | None = None
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
     # On request, for each sample: row numbers of the scenarios that go on, and their plans as of `SteeringLaw.plan`
     planned: Sequence[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = ()
+
+    @property
+    def trajectories(self) -> Trajectories | None:
+        """The paths in the scenarios' own order."""
+        return None if self.paths is None else _trajectories(self.takeover, *self.paths)
 
     @property
     def law_seconds(self) -> float:
@@ -416,9 +421,8 @@ def drive(
 
 
 def drive_many(
-    controllers: Iterable[Controller], takeover: Takeover, *, paths: FloatArray | None = None,
-    threads: int | None = None,
-) -> Iterator[Run]:  # fmt: skip
+    controllers: Iterable[Controller], takeover: Takeover, *, paths: bool = False, threads: int | None = None
+) -> Iterator[Run]:
     """Drive several designs; linear laws go through the compiled loop together, so that scenarios are read once.
 
     Parameters
@@ -426,15 +430,16 @@ def drive_many(
     controllers : iterable of Controller
     takeover, threads
         As in `drive`.
-    paths : (m, entries, PATH) float, optional
-        Where the paths of each design in turn are written, in the takeover's order; see `kernel.data`.
+    paths : bool
+        Keep the paths of all scenarios that triggered, in the takeover's order; one design at a time is driven then.
 
     Yields
     ------
     Run
         In the order of the designs; the same bits, and the same errors, as from `drive`.
     """
-    most = max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES)) if paths is None else 1
+    rows = takeover.rows if paths else None
+    most = 1 if paths else max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES))
     waiting: list[LinearLaw] = []
     for controller in controllers:
         law = _checked_law(controller, takeover)
@@ -444,16 +449,16 @@ def drive_many(
             and shape_of(law) == shape_of(waiting[0])
             and law.knows_actuator == waiting[0].knows_actuator
         ):
-            yield from _drive_linear(waiting, takeover, None, threads, paths)
+            yield from _drive_linear(waiting, takeover, rows, threads)
             waiting = []
         if isinstance(law, LinearLaw):
             waiting.append(law)
         elif isinstance(law, SteeringLaw):
-            yield _drive_general(law, takeover, controller.name, None, threads, into=paths)
+            yield _drive_general(law, takeover, controller.name, rows, threads)
         else:
             yield recorded_run(takeover)
     if waiting:
-        yield from _drive_linear(waiting, takeover, None, threads, paths)
+        yield from _drive_linear(waiting, takeover, rows, threads)
 
 
 def _checked_law(controller: Controller, takeover: Takeover) -> Law:
@@ -461,10 +466,7 @@ def _checked_law(controller: Controller, takeover: Takeover) -> Law:
     return check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
 
 
-def _drive_linear(
-    laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None,
-    into: FloatArray | None = None,
-) -> list[Run]:  # fmt: skip
+def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None) -> list[Run]:
     from ldctoolkit.simulation.kernel import entry
 
     d, m = len(laws), takeover.m
@@ -476,7 +478,7 @@ def _drive_linear(
     setting[data.COMMAND_RING] = max(setting[data.COMMAND_RING], past + 2)
     score = np.full((d, data.SCORES, m), np.nan)  # a scenario that is left out stays visible
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
-    paths, path_row, triggered = takeover.empty_paths(rows, into)
+    paths, path_row, triggered = takeover.empty_paths(rows)
 
     def drive_any(rows: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
         """The blocks of these rows, by the method of Runge and Kutta."""
@@ -507,20 +509,19 @@ def _drive_linear(
             drive_any(stiff, stiff_score, stiff_diverged, stiff_failed)
             score[:, :, stiff], diverged[:, stiff] = stiff_score[:, :, stiff], stiff_diverged[:, stiff]
             failed[:, stiff] = stiff_failed[:, stiff]
-    trajectories = _trajectories(takeover, paths, rows, triggered)
-    return [_run_of_scores(takeover, score[i], diverged[i], failed[i], np.zeros(0), trajectories) for i in range(d)]
+    kept = None if rows is None else (paths, rows, triggered)
+    return [_run_of_scores(takeover, score[i], diverged[i], failed[i], np.zeros(0), kept) for i in range(d)]
 
 
 # ---------------------------------------------------------------------- a law that is called sample by sample
 
 
 def _drive_general(
-    law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None, *,
-    plans: bool = False, into: FloatArray | None = None,
-) -> Run:  # fmt: skip
+    law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None, *, plans: bool = False
+) -> Run:
     """Drive a law, solved for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
     m, stiff = takeover.m, takeover.stiff
-    paths, path_row, triggered = takeover.empty_paths(rows, into)
+    paths, path_row, triggered = takeover.empty_paths(rows)
     plants = [_Stretch(takeover, slice(0, stiff), np.zeros((3, 0, data.EXACT)), paths, path_row, threads)]
     if stiff < m:
         exact = np.ascontiguousarray(takeover.exact[:, stiff:])
@@ -571,8 +572,8 @@ def _drive_general(
                 batch, active = np.arange(m)[batch][active], np.arange(active.size)
     results = [plant.scores() for plant in plants]
     score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
-    trajectories = _trajectories(takeover, paths, rows, triggered)
-    run = _run_of_scores(takeover, score, diverged, failed, np.array(step_seconds), trajectories)
+    kept = None if rows is None else (paths, rows, triggered)
+    run = _run_of_scores(takeover, score, diverged, failed, np.array(step_seconds), kept)
     status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls), planned=planned)
 
@@ -669,7 +670,7 @@ def _run_of_scores(
     diverged: BoolArray,
     failed: IntArray,
     step_seconds: FloatArray,
-    trajectories: Trajectories | None,
+    paths: tuple[FloatArray, IntArray, IntArray] | None,
 ) -> Run:
     """A run from scores (SCORES, m), which scenarios diverged (m,), and failed commands (m,)."""
     status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
@@ -684,13 +685,11 @@ def _run_of_scores(
     inside = (takeover.x_0[:, 0] < edge) & (values["deepest"] <= 0.0)
     values["t_back"] = np.where(inside, takeover.start, values["t_back"])
     metrics = MetricValues(**values)
-    return Run(takeover, area, status, failed, metrics, step_seconds, trajectories)
+    return Run(takeover, area, status, failed, metrics, step_seconds, paths)
 
 
-def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray | None, triggered: IntArray) -> Trajectories | None:
+def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray, triggered: IntArray) -> Trajectories:
     """Paths of the chosen rows; NaN where a scenario never triggered."""
-    if rows is None:
-        return None
     used = np.isfinite(paths[:, :, data.P_TIME]).sum(axis=1).max(initial=1)
     out = np.full((rows.size, int(used), data.PATH), np.nan)
     out[triggered] = paths[:, : int(used)]
@@ -700,6 +699,5 @@ def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray | None, trig
     # after the trigger the loop drives the fitted speed and curvature, of recorded paths too
     path = dataclasses.replace(over.path.take(rows), recorded=None)
     x = out[:, :, data.P_X : data.P_DELTA]
-    columns = (data.P_TIME, data.P_DELTA, data.P_A_Y, data.P_COMMAND)
-    t, delta, a_y, command = (out[:, :, column] for column in columns)
-    return Trajectories(rows, t, x, delta, a_y, command, path, at_trigger[rows])
+    t, delta, a_y = (out[:, :, column] for column in (data.P_TIME, data.P_DELTA, data.P_A_Y))
+    return Trajectories(rows, t, x, delta, a_y, path, at_trigger[rows])

@@ -95,14 +95,16 @@ class _Batch:
 
     def with_run(self, driven: FloatArray) -> Paths:
         """The paths with what a run drove, (m, entries, PATH)."""
-        entries = driven.reshape(-1, data.PATH)[self.source]
+        if not self.source.size:
+            return self.paths
+        entries = driven.reshape(-1, data.PATH).take(self.source, axis=0)
         arrays = {name: getattr(self.paths, name).copy() for name in _DRIVEN}
         for name, column in _DRIVEN.items():
-            arrays[name].flat[self.place] = entries[:, column]
+            arrays[name].reshape(-1)[self.place] = entries[:, column]
         ended = np.isnan(entries[:, data.P_TIME])
         for name in _GRID if ended.any() else ():
             arrays[name] = getattr(self.paths, name).copy()
-            arrays[name].flat[self.place[ended]] = np.nan
+            arrays[name].reshape(-1)[self.place[ended]] = np.nan
         return dataclasses.replace(self.paths, **arrays)
 
 
@@ -114,15 +116,16 @@ class PathSampler:
         position = np.full(over.scenarios.n, -1)  # among the driven scenarios
         if controlled:
             position[over.rows] = np.arange(over.m)
-        self.paths, _, _ = over.empty_paths(over.rows if controlled else over.rows[:0])  # of the run to be measured
+        self._entries = int(over.steps.max(initial=0)) + 2  # of a path of a run
         rows = np.flatnonzero(over.valid)
         # samples of the recorded path, and of all; a last step that is shorter ends beside the grid
         recorded, dt = np.where(position < 0, over.path.scenarios.T, over.t_s)[rows], over.setup.dt
         before = np.floor(recorded / dt + _SAME).astype(np.int64) + (position[rows] < 0)
         samples = before.copy()
         samples[position[rows] >= 0] += (over.steps + (over.rest == 0.0))[position[rows][position[rows] >= 0]]
-        width = -(-samples // _WIDTH) * _WIDTH
-        parts = [(np.flatnonzero(width == k), k) for k in np.unique(width).tolist()]
+        width, alone = -(-samples // _WIDTH) * _WIDTH, position[rows] < 0
+        kinds = sorted({*zip(width.tolist(), alone.tolist(), strict=True)})
+        parts = [(np.flatnonzero((width == k) & (alone == never)), k) for k, never in kinds]
         self._batches = [self._batch(rows[i], position[rows[i]], before[i], samples[i], k) for i, k in parts]
 
     @functools.cached_property
@@ -132,13 +135,14 @@ class PathSampler:
         return self._measured((batch.rows, batch.paths) for batch in batches)
 
     def values(self, run: Run) -> FloatArray:
-        """Values of the c metrics, (c, n), of the run that wrote `paths`; NaN for a scenario that cannot be driven.
+        """Values of the c metrics, (c, n), of a run with paths; NaN for a scenario that cannot be driven.
 
         In a departure that failed a value is at least as bad as that of its recorded path, as it is in S.
         """
-        if run.area is None:  # no control acted
+        if run.paths is None:  # no control acted
             return self.recorded
-        out = self._measured((batch.rows, batch.with_run(self.paths)) for batch in self._batches)
+        driven = run.paths[0]
+        out = self._measured((batch.rows, batch.with_run(driven)) for batch in self._batches)
         failed = self.over.rows[np.isin(run.status, FAILURES)]
         for metric, values, bound in zip(self._metrics, out, self.recorded if failed.size else out, strict=True):
             values[failed] = (np.maximum if metric.better == "less" else np.minimum)(values[failed], bound[failed])
@@ -160,29 +164,29 @@ class PathSampler:
         t = np.where(position < 0, 0.0, np.maximum(over.t_s[rows] - dt * before, 0.0))[:, None] + dt * number
         recorded, on_grid = number < before[:, None], number < samples[:, None]
         driven, T = on_grid & ~recorded & (position >= 0)[:, None], path.scenarios.T
-        p = int(before.max())
+        # the recorded path is known up to the trigger, its position up to T
+        p, q = int(before.max()), min(int(T.max() / dt) + 2, k)
         v, curvature = path.speed(t), path.curvature(t)
-        x, angle = over.recorded_motion(t[:, :p], rows)
+        x, delta = over.recorded_motion(t[:, :p], rows)
         a_y = path.lateral_acceleration(t[:, :p]) + (v**2 * curvature)[:, :p]
-        # after the trigger the loop drives the fitted speed and curvature, of recorded paths too
-        fitted = dataclasses.replace(path, recorded=None)
-        v_driven = fitted.speed(t)
+        if path.recorded is not None:  # after the trigger the loop drives fitted signals
+            fitted = dataclasses.replace(path, recorded=None)
+            v, curvature = np.where(driven, [fitted.speed(t), fitted.curvature(t)], [v, curvature])
         if over.setup.options.speed == "frozen" and over.m:
-            v_driven = over.plant.v[position][:, None]
-        if path.recorded is not None:
-            curvature = np.where(driven, fitted.curvature(t), curvature)
+            v = np.where(driven, over.plant.v[position][:, None], v)
 
         def kept(values: FloatArray, where: BoolArray) -> FloatArray:
             out = np.full(t.shape, np.nan)
-            out[:, : values.shape[1]] = np.where(where[:, : values.shape[1]], values, np.nan)
+            np.copyto(out[:, : values.shape[1]], values, where=where[:, : values.shape[1]])
             return out
 
-        e_y, e_y_rate, e_psi, e_psi_rate = (kept(x[:, :, j], recorded) for j in range(4))
-        delta = kept(angle, recorded)
+        e_y, e_y_rate, e_psi, e_psi_rate, delta, a_y = (
+            kept(values, recorded) for values in (*np.moveaxis(x, 2, 0), delta, a_y)
+        )
+        e_y_recorded = path.lateral(t[:, :q]) + over.setup.vehicle.edge_offset
         paths = Paths(
-            kept(t, on_grid), e_y, e_y_rate, e_psi, e_psi_rate, delta, delta, kept(a_y, recorded),
-            kept(np.where(driven, v_driven, v), on_grid), kept(curvature, on_grid),
-            kept(path.lateral(t) + over.setup.vehicle.edge_offset, on_grid & (t <= T[:, None] + _SAME)), T, t_s,
+            kept(t, on_grid), e_y, e_y_rate, e_psi, e_psi_rate, delta, delta, a_y, kept(v, on_grid),
+            kept(curvature, on_grid), kept(e_y_recorded, on_grid & (t <= T[:, None] + _SAME)), T, t_s,
             path.scenarios.side, dt, over.setup.vehicle,
         )  # fmt: skip
         i, place = np.nonzero(driven)
@@ -191,7 +195,7 @@ class PathSampler:
         column += (
             (column > over.full_steps[row]) & (over.rest[row] > 0.0) & (over.steps[row] - 1 > over.full_steps[row])
         )
-        return _Batch(rows, paths, row * self.paths.shape[1] + column, i * k + place)
+        return _Batch(rows, paths, row * self._entries + column, i * k + place)
 
 
 def checked_values(metric: UserMetric, paths: Paths) -> FloatArray:

@@ -212,15 +212,10 @@ class Takeover:
             return self.m
         return int((_substeps(self.setup, self.plant.v) > data.STIFF).sum())
 
-    def empty_paths(
-        self, rows: IntArray | None, into: FloatArray | None = None
-    ) -> tuple[FloatArray, IntArray, IntArray]:
+    def empty_paths(self, rows: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
         """An array for the paths of chosen scenarios (c, entries, columns), its row of each driven scenario (m,) or -1,
-        and the positions in `rows` of those that triggered. It is `into` for all driven scenarios, where given.
+        and the positions in `rows` of those that triggered.
         """
-        if into is not None:
-            into.fill(np.nan)
-            return into, np.arange(self.m), np.arange(0)
         path_row = np.full(self.m, -1, dtype=np.int64)
         if rows is None:
             return np.zeros((0, 0, data.PATH)), path_row, path_row[:0]
@@ -342,6 +337,8 @@ def _attitude(
 
 def _steady(setup: Setup) -> Setup:
     """For the recorded path itself, whatever state the loop starts from."""
+    if (setup.start, setup.initial_yaw_rate) == ("steady", "path"):
+        return setup
     return dataclasses.replace(setup, start="steady", initial_yaw_rate="path")
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import ldctoolkit.registry as registry
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.control import EventStatus, LinearLaw, SteeringLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import declared_law, raised
@@ -70,7 +70,7 @@ class Simulator:
         self._metrics: tuple[UserMetric, ...] = (
             unpickled(job.metrics) if isinstance(job.metrics, bytes) else job.metrics
         )
-        self._sampler: PathSampler | None = None
+        self._samplers: dict[int, PathSampler] = {}
         self._takeovers: OrderedDict[tuple[float, bytes], Takeover] = OrderedDict()
 
     def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
@@ -83,12 +83,15 @@ class Simulator:
         self._takeovers.move_to_end(key)
         return self._takeovers[key]
 
-    def _sampler_of(self, takeover: Takeover) -> PathSampler:
-        """The last one is kept: designs of one threshold share it."""
-        if self._sampler is None or self._sampler.over is not takeover:
-            self._sampler = None  # before another is made
-            self._sampler = PathSampler(takeover, self._metrics)
-        return self._sampler
+    def _sampler(self, takeover: Takeover) -> PathSampler | None:
+        """What measures the metrics of designers, kept as long as its takeover; None where there are none."""
+        if not self._metrics:
+            return None
+        kept = {id(over): over for over in self._takeovers.values()}
+        self._samplers = {key: sampler for key, sampler in self._samplers.items() if key in kept}
+        if id(takeover) not in self._samplers:
+            self._samplers[id(takeover)] = PathSampler(takeover, self._metrics)
+        return self._samplers[id(takeover)]
 
     def run(self, task: Task) -> Done:
         """Every design of a task; one whose law raises, or gives what no law may give, has failed."""
@@ -101,9 +104,9 @@ class Simulator:
         for first, last in itertools.pairwise([0, *ends, len(task.designs)]):
             # what this raises is no fault of a law
             takeover = self.takeover(task.designs[first].y_s, task.scenarios)
-            sampler = self._sampler_of(takeover) if self._metrics else None
-            paths = sampler.paths if sampler else None
-            runs = drive_each(task.designs[first:last], takeover, self.job.setup.convention, paths)
+            sampler = self._sampler(takeover)
+            group = task.designs[first:last]
+            runs = drive_each(group, takeover, self.job.setup.convention, paths=sampler is not None)
             for i, run in zip(range(first, last), runs, strict=True):
                 if isinstance(run, str):
                     reasons[i] = run
@@ -122,18 +125,15 @@ class Simulator:
         room = _Room(task, len(self._metrics))
         for i, design in enumerate(task.designs):
             takeover = self.takeover(design.y_s, task.scenarios)
-            room.put(i, recorded_run(takeover), self._sampler_of(takeover) if self._metrics else None)
+            room.put(i, recorded_run(takeover), self._sampler(takeover))
             room.status[i, takeover.rows] = status
         return room.result()
 
 
 def drive_each(
-    designs: Sequence[Design], takeover: Takeover, convention: Convention, paths: FloatArray | None = None
+    designs: Sequence[Design], takeover: Takeover, convention: Convention, *, paths: bool = False
 ) -> list[Run | str]:
-    """Drive designs of one threshold in one go over the scenarios; in place of a run the error that its law raised.
-
-    The paths of a single design are written into `paths`.
-    """
+    """Drive designs of one threshold in one go over the scenarios; in place of a run the error that its law raised."""
     try:
         return list(drive_many([design.controller(convention) for design in designs], takeover, paths=paths, threads=1))
     except (KeyboardInterrupt, GeneratorExit):  # end a study even where a law raises them
@@ -142,7 +142,7 @@ def drive_each(
         if len(designs) == 1:
             return [raised(error)]
         # one after the other, which tells the design that raises
-        return [run for design in designs for run in drive_each([design], takeover, convention)]
+        return [run for design in designs for run in drive_each([design], takeover, convention, paths=paths)]
 
 
 class _Room:
