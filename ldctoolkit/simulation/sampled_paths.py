@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -128,6 +128,11 @@ class PathSampler:
         parts = [(np.flatnonzero((width == k) & (alone == never)), k) for k, never in kinds]
         self._batches = [self._batch(rows[i], position[rows[i]], before[i], samples[i], k) for i, k in parts]
 
+    def parts(self, run: Run) -> Iterator[tuple[IntArray, Paths]]:
+        """Rows of the scenarios (g,) and their paths, of about one length at a time, of a run with paths."""
+        for batch in self._batches if run.paths is not None else ():
+            yield batch.rows, batch.with_run(run.paths[0])
+
     @functools.cached_property
     def recorded(self) -> FloatArray:
         """Values of the c metrics on the recorded paths, from their start to T, (c, n)."""
@@ -141,8 +146,7 @@ class PathSampler:
         """
         if run.paths is None:  # no control acted
             return self.recorded
-        driven = run.paths[0]
-        out = self._measured((batch.rows, batch.with_run(driven)) for batch in self._batches)
+        out = self._measured(self.parts(run))
         failed = self.over.rows[np.isin(run.status, FAILURES)]
         for metric, values, bound in zip(self._metrics, out, self.recorded if failed.size else out, strict=True):
             values[failed] = (np.maximum if metric.better == "less" else np.minimum)(values[failed], bound[failed])
