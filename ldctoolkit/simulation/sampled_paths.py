@@ -130,8 +130,9 @@ class PathSampler:
 
     def parts(self, run: Run) -> Iterator[tuple[IntArray, Paths]]:
         """Rows of the scenarios (g,) and their paths, of about one length at a time, of a run with paths."""
-        for batch in self._batches if run.paths is not None else ():
-            yield batch.rows, batch.with_run(run.paths[0])
+        if run.paths is not None:
+            for batch in self._batches:
+                yield batch.rows, batch.with_run(run.paths[0])
 
     @functools.cached_property
     def recorded(self) -> FloatArray:

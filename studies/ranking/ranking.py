@@ -124,6 +124,12 @@ def _warnings_of_runs(every_run: StudyResults, results: StudyResults) -> Iterato
             often.append(name)
     if wrong:
         yield f"Commands that were not finite, of laws that declare no solver to fall back from: {_listed(wrong)}."
+    for name, values in results.user_metrics.items():
+        among = results.status != EventStatus.NEVER_TRIGGERED
+        unknown = (np.isnan(values) & (among | (scenario_metric(name).over == "all"))).sum(axis=1)
+        if (rows := np.flatnonzero(unknown)).size:
+            named = [f"{results.designs[i].label} in {unknown[i]:,} departures" for i in rows.tolist()]
+            yield f"Metric {name} is not a number, and what would count it is not known: {_listed(named)}."
     if often:
         yield f"Commands that were not finite, or came from a law's fallback: {_listed(often)}."
 
