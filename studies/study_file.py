@@ -29,7 +29,7 @@ from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
-from ldctoolkit.metrics import MEAN_OF_ALL, UserMetric, declare
+from ldctoolkit.metrics import MEAN_OF_ALL, UserMetric, declare, user_rows
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.registry import controller_class, controller_names, from_file, register
 from ldctoolkit.scenario_model import conditions
@@ -354,6 +354,15 @@ class Study(Part):
         size = 0 if self.search else sum(block.size for block in self.design)
         if size > MOST_DESIGNS:
             raise InputError("design", f"the grids make {size} designs", allowed=f"at most {MOST_DESIGNS}")
+        return self
+
+    @model_validator(mode="after")
+    def _own_metrics(self) -> Self:
+        names = [metric.name for metric in self.metrics]  # another study of this process may have others
+        for text in (*self._metrics, self.ranking.rank_by):
+            row = user_rows().get(re.split("[ <>=]", text)[0]) if text != "S" else None
+            if row is not None and row.of[0] not in names:
+                raise InputError("metrics", f"without {row.of[0]}, which is named", value=text, allowed=names or "none")
         return self
 
     @model_validator(mode="after")

@@ -495,7 +495,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
     elif m:
         exact, stiff = takeover.exact, np.arange(takeover.stiff)
         exact_path_row = path_row.copy()
-        exact_path_row[stiff] = -1
+        exact_path_row[stiff], path_row[stiff.size :] = -1, -1  # a block may hold rows of both kinds
 
         def work(first: int, last: int) -> None:
             most = int(scene[first * data.LANES : last * data.LANES, data.STEPS].max())

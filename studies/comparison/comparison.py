@@ -320,8 +320,9 @@ def _metric_differences(
     known = {metric.name: metric.code for metric in before.study.metrics}
     for metric in after.study.metrics:
         if known.get(metric.name) == metric.code:
+            sides = zip((before, after), at, (shared.old, shared.new), strict=True)
             old, new = (side.results.user_metrics[metric.name][rows][:, columns]
-                        for side, rows, columns in zip((before, after), at, (shared.old, shared.new), strict=True))  # fmt: skip
+                        for side, rows, columns in sides)  # fmt: skip
             if np.isfinite(old).all() and np.isfinite(new).all():
                 seed = after.study.seed
                 yield (
