@@ -45,10 +45,8 @@ from .finalists import (
     fresh_scores,
     no_fresh_scores,
 )
-from .inference import Inference, Resampled, infer, spread_is_known, tail_text
-from .verdict import TOP, depths, listed_positions, ranking_html, ranking_table
 from .inference import Inference, Resampled, infer, row_means, spread_is_known, tail_text
-from .verdict import depths, ranking_html
+from .verdict import TOP, depths, listed_positions, ranking_html, ranking_table
 
 if TYPE_CHECKING:
     import polars as pl
