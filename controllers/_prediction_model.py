@@ -34,7 +34,8 @@ class Names:
             raise AttributeError(name)
         names = [key for key in self.__dict__ if not key.startswith("_")]
         names += [key for key in vars(type(self)) if not key.startswith("_")]
-        raise UnknownNameError(f"{self.__path}.{name}", "no such name", allowed=names)
+        hint = "the rate of a command is u.change / lane.dt" if self.__path.endswith(".u") else ""
+        raise UnknownNameError(f"{self.__path}.{name}", "no such name", allowed=names, hint=hint)
 
 
 class Vehicle(Names):

@@ -34,6 +34,7 @@ from ldctoolkit.departures import (
     reduce_signals,
 )
 from ldctoolkit.errors import LdcError
+from ldctoolkit.metrics import metric
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.recordings import (
@@ -47,7 +48,7 @@ from ldctoolkit.registry import controller_class, controller_names, register
 from ldctoolkit.scenario_model import ScenarioModel, bundled_models, check_fidelity, fit_scenario_model, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
-from ldctoolkit.simulation import Outcome, Plans, plans, simulate
+from ldctoolkit.simulation import Outcome, Paths, Plans, plans, simulate
 from ldctoolkit.vehicle import BicycleModel, Plant, VehicleParameters
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
 from ldctoolkit.version import __version__
@@ -61,16 +62,16 @@ __all__ = [
     "LQI", "LQR", "PID", "SPEED_RANGE", "Actuator", "Assessment", "BarrierFilter", "BicycleModel",
     "BoundedGaussianMixture", "Comparison", "Controller", "DepartureParameters", "DepartureSignals", "Departures",
     "Design", "EventStatus", "Gain", "Identification", "KalmanFilter", "LdcError", "LinearLaw", "LinearMPC",
-    "LinearSteps", "Mismatch", "NoControl", "NonlinearMPC", "Outcome", "Plans", "Plant", "PlantOptions", "Plausibility",
-    "PredictiveController", "Preview", "PreviewLQR", "PreviewProportional", "PurePursuit", "Ranking",
-    "RecordedPath", "Residuals", "ScenarioModel", "Scenarios", "Sensors", "Setup", "SlidingMode", "Soft",
+    "LinearSteps", "Mismatch", "NoControl", "NonlinearMPC", "Outcome", "Paths", "Plans", "Plant", "PlantOptions",
+    "Plausibility", "PredictiveController", "Preview", "PreviewLQR", "PreviewProportional", "PurePursuit",
+    "Ranking", "RecordedPath", "Residuals", "ScenarioModel", "Scenarios", "Sensors", "Setup", "SlidingMode", "Soft",
     "SolverCalls", "Stage", "Stanley", "SteeringLaw", "Study", "StudyResults", "Tyres", "VehicleParameters",
     "__version__", "assess", "bundled_models", "check_fidelity", "compare", "controller_class", "controller_names",
     "controllers", "estimate_risk", "export_c", "extract_departures", "fit_scenario_model", "from_opti", "gain",
-    "identify", "load_model", "load_study", "open_recordings", "option", "plans", "plot_convergence", "plot_departure",
-    "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study", "read_departures",
-    "read_recordings", "read_results", "rebuild_signals", "reduce_signals", "register", "run_study", "scheduled",
-    "simulate", "studies", "study", "write_departures",
+    "identify", "load_model", "load_study", "metric", "open_recordings", "option", "plans", "plot_convergence",
+    "plot_departure", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study",
+    "read_departures", "read_recordings", "read_results", "rebuild_signals", "reduce_signals", "register",
+    "run_study", "scheduled", "simulate", "studies", "study", "write_departures",
 ]  # fmt: skip
 
 

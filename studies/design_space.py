@@ -341,8 +341,10 @@ class DesignBlock(Part):
     @model_validator(mode="before")
     @classmethod
     def _check(cls, block: Any, info: ValidationInfo) -> Any:
-        if not isinstance(block, dict) or "law" not in block:
-            return block  # the field's own message says what is missing
+        if not isinstance(block, dict):
+            return block
+        if "law" not in block:  # the field's own message says so, or that the key is another
+            return {key: block[key] for key in block.keys() - {"y_s", "gains", "when"}}
         checked = dict(block)
         names, kinds = _read_laws(block["law"], info.context)
         checked["law"] = names[0] if len(names) == 1 else names

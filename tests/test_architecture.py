@@ -48,7 +48,7 @@ LEVELS = (
     ("ldctoolkit.simulation",),
     # a model is judged by what designs do on its departures
     ("ldctoolkit.scenario_model", "ldctoolkit.models"),
-    ("ldctoolkit.diagnostics", "ldctoolkit.identification", "ldctoolkit.review"),
+    ("ldctoolkit.diagnostics", "ldctoolkit.identification", "ldctoolkit.other_simulators", "ldctoolkit.review"),
     ("ldctoolkit.testing",),
     ("ldctoolkit",),
     ("ldctoolkit.__main__",),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import difflib
 import functools
 import importlib.util
 import math
@@ -24,7 +23,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.checked_files import read_toml
-from ldctoolkit.errors import InputError, LdcError, RecordingError, short
+from ldctoolkit.errors import InputError, LdcError, RecordingError, closest, short
 from ldctoolkit.recordings.preparation import LIMITS, LONGEST_GAP, MAX_GAP, clock_stretches, cut_at, joins_of, values_at
 from ldctoolkit.recordings.recording import (
     LARGEST,
@@ -508,9 +507,8 @@ def _locate(log: Any, entry: Channel) -> tuple[int, int]:
         stated = "not given" if entry.group is None else repr(entry.group)
         what = f"channel {entry.channel!r} is in the groups {groups}; `group`: {stated}"
         raise RecordingError("", what, allowed="the name or number of one")
-    names = {channel.name for group in log.groups for channel in group.channels}
-    near = difflib.get_close_matches(entry.channel, names, n=1)
-    hint = f"{f'did you mean {near[0]!r}? ' if near else ''}see --list-channels"
+    near = closest(entry.channel, [channel.name for group in log.groups for channel in group.channels], 0.6)
+    hint = f"{f'did you mean {near!r}? ' if near else ''}see --list-channels"
     raise RecordingError("", f"channel {entry.channel!r} is not in the log", hint=hint)
 
 

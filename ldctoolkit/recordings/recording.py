@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import functools
 import hashlib
 import itertools
@@ -20,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly
-from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError
+from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError, closest
 from ldctoolkit.version import entry_points
 
 
@@ -475,13 +474,12 @@ def check_columns(
 
 def missing_column(name: str, unknown: Sequence[str], hint: str = "") -> RecordingError:
     """The error for a table that lacks a column; it proposes the nearest of the columns that are not known."""
-    lower = {column.lower(): column for column in reversed(unknown)}
-    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
+    near = closest(name, unknown)
     proposal = textwrap.shorten(f"columns not known here: {', '.join(sorted(unknown))}", 400)
     if not unknown:
         proposal = "no other column of the file could be it"
     elif near:
-        proposal = f"did you mean {lower[near[0]]!r}? ({proposal})"
+        proposal = f"did you mean {near!r}? ({proposal})"
     return RecordingError("", f"column '{name}' is missing", hint="; ".join(filter(None, (proposal, hint))))
 
 

@@ -1,4 +1,4 @@
-"""The contract that every controller keeps, as checks that its author runs in tests of their own.
+"""The contract that every controller keeps, as checks that its author runs in tests of their own; and that of a metric.
 
 Under pytest, subclass `ControllerContract`; without it, call `check_controller_contract`. Nothing here needs pytest.
 """
@@ -11,6 +11,7 @@ from ldctoolkit.testing.contract import (
     check_controller_contract,
     contract_faults,
 )
+from ldctoolkit.testing.metric_contract import check_metric
 from ldctoolkit.testing.subject import ContractSettings
 
 __all__ = [
@@ -20,5 +21,6 @@ __all__ = [
     "ControllerContract",
     "Fault",
     "check_controller_contract",
+    "check_metric",
     "contract_faults",
 ]

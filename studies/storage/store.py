@@ -96,6 +96,12 @@ class Store:
                 for name, content in manifest.laws.items()
                 if former.laws.get(name, content) != content
             ]
+            codes = {metric["name"]: metric["code"] for metric in former.study.get("metrics", ())}
+            notices += [
+                f"the code of metric {metric.name!r} has changed since the last run: all designs are run again"
+                for metric in study.metrics
+                if codes.get(metric.name, metric.code) != metric.code
+            ]
             if others := former.other_versions():
                 notices = [f"was made with {others}; everything is computed anew"]
                 _clear(folder, DESIGNS, FAILURES, TIMING_FILE, MEASURES, f"results/{PATTERN}")
@@ -136,7 +142,8 @@ class Store:
     def add(self, results: Sequence[TaskResult], failed: Sequence[FailedRun] = ()) -> None:
         """Store finished runs as one part, the times of their laws, and why others failed."""
         if results:
-            write_results(self.folder / "results", results, self.study.simulation.window, self.scenarios.index)
+            window, metrics = self.study.simulation.window, self.study.metrics
+            write_results(self.folder / "results", results, window, self.scenarios.index, metrics)
             for result in results:
                 for id, seconds, commands in zip(result.ids, result.law_seconds, result.commands, strict=True):
                     self.times[id] = self.times.get(id, LawTime(0.0, 0)) + LawTime(float(seconds), int(commands))
@@ -159,9 +166,8 @@ class Store:
         messages = []
         for path, content in prefetched(read_part, sorted((self.folder / "results").glob(PATTERN))):
             try:
-                for result in list(
-                    parse_part(path, content.result(), self.study.simulation.window, self.scenarios.index)
-                ):
+                window, numbers = self.study.simulation.window, self.scenarios.index
+                for result in list(parse_part(path, content.result(), window, numbers, self.study.metrics)):
                     table.put(result)
                 table.release()
             except StoreError as error:
