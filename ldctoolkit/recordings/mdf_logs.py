@@ -567,10 +567,8 @@ def _resampled(base: FloatArray, t: FloatArray, values: FloatArray, quantity: st
     t, values = t[newest], values[newest]
     i = np.searchsorted(t, base, "right") - 1
     before, after = np.maximum(i, 0), np.minimum(i + 1, t.size - 1)
-    if not QUANTITIES[quantity][0] or quantity == "steering_command":
-        longest = (
-            max_gap if quantity in ("valid", "steering_command") else np.inf
-        )  # a switch may be recorded only when it changes
+    if not QUANTITIES[quantity][0]:
+        longest = max_gap if quantity == "valid" else np.inf  # a switch may be recorded only when it changes
         return np.where((i >= 0) & (base - t[before] <= longest), values[before], np.nan)
     if quantity == "heading":
         finite = np.abs(values) < LARGEST
