@@ -6,6 +6,7 @@ if __name__ == "controllers":  # in a checkout, whose root is on Python's path
 from ldctoolkit.control import check_class
 
 from .barrier_filter import BarrierFilter
+from .external import CLaw, FmuLaw
 from .from_opti import from_opti
 from .linear_mpc import LinearMPC
 from .lqi import LQI
@@ -25,6 +26,8 @@ __all__ = [
     "LQR",
     "PID",
     "BarrierFilter",
+    "CLaw",
+    "FmuLaw",
     "LinearMPC",
     "NoControl",
     "NonlinearMPC",
@@ -39,5 +42,5 @@ __all__ = [
     "from_opti",
 ]
 
-for _name in {*__all__} - {"PredictiveController", "Soft", "Stage", "from_opti"}:
+for _name in {*__all__} - {"CLaw", "FmuLaw", "PredictiveController", "Soft", "Stage", "from_opti"}:
     check_class(globals()[_name])  # their documentation then lists their gains

@@ -58,9 +58,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LQI", "LQR", "PID", "SPEED_RANGE", "Actuator", "Assessment", "BarrierFilter", "BicycleModel",
-    "BoundedGaussianMixture", "Comparison", "Controller", "DepartureParameters", "DepartureSignals", "Departures",
-    "Design", "EventStatus", "Gain", "KalmanFilter", "LdcError", "LinearLaw", "LinearMPC", "LinearSteps",
-    "Mismatch", "NoControl", "NonlinearMPC", "Outcome", "Plans", "Plant", "PlantOptions", "Plausibility",
+    "BoundedGaussianMixture", "CLaw", "Comparison", "Controller", "DepartureParameters", "DepartureSignals",
+    "Departures", "Design", "EventStatus", "FmuLaw", "Gain", "KalmanFilter", "LdcError", "LinearLaw", "LinearMPC",
+    "LinearSteps", "Mismatch", "NoControl", "NonlinearMPC", "Outcome", "Plans", "Plant", "PlantOptions", "Plausibility",
     "PredictiveController", "Preview", "PreviewLQR", "PreviewProportional", "PurePursuit", "Ranking",
     "RecordedPath", "Residuals", "ScenarioModel", "Scenarios", "Sensors", "Setup", "SlidingMode", "Soft",
     "SolverCalls", "Stage", "Stanley", "SteeringLaw", "Study", "StudyResults", "Tyres", "VehicleParameters",
