@@ -6,7 +6,7 @@ if __name__ == "controllers":  # in a checkout, whose root is on Python's path
 from ldctoolkit.control import check_class
 
 from .barrier_filter import BarrierFilter
-from .external import CLaw, FmuLaw
+from .external import CLaw, FmuLaw, FmuVehicle
 from .from_opti import from_opti
 from .linear_mpc import LinearMPC
 from .lqi import LQI
@@ -28,6 +28,7 @@ __all__ = [
     "BarrierFilter",
     "CLaw",
     "FmuLaw",
+    "FmuVehicle",
     "LinearMPC",
     "NoControl",
     "NonlinearMPC",
@@ -42,5 +43,5 @@ __all__ = [
     "from_opti",
 ]
 
-for _name in {*__all__} - {"CLaw", "FmuLaw", "PredictiveController", "Soft", "Stage", "from_opti"}:
+for _name in {*__all__} - {"CLaw", "FmuLaw", "FmuVehicle", "PredictiveController", "Soft", "Stage", "from_opti"}:
     check_class(globals()[_name])  # their documentation then lists their gains

@@ -18,6 +18,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import weakref
 import zipfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -31,7 +32,7 @@ from ldctoolkit.control import Controller, EventStatus, Preview, StatusArray, St
 from ldctoolkit.declared import Gain, gain
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError, first_line
 from ldctoolkit.surroundings import temporary_folder
-from ldctoolkit.vehicle.bicycle import Plant
+from ldctoolkit.vehicle import Plant, VehicleModel
 
 _STATE: Final = ("e_y", "e_y_rate", "e_psi", "e_psi_rate")
 _LANE: Final = ("curvature", "yaw_rate", "heading")  # also ahead, as ``curvature@0.5``
@@ -204,7 +205,7 @@ class _Fmu:
 
     def __init__(self, content: bytes, path: Path) -> None:
         fmpy, allowed = _fmpy(), "an FMU of FMI 2.0 or 3.0 for co-simulation"
-        self.path, self.content, self.instances = path, content, list[_Instance]()
+        self.path, self.content, self.instances, self.free = path, content, list[_Instance](), list[_Instance]()
         self._calls: dict[tuple[str, ...], list[tuple[str, list[int], list[int]]]] = {}
         try:
             self.description = fmpy.read_model_description(io.BytesIO(content), validate=False)
@@ -264,13 +265,25 @@ class _Fmu:
 
     def some(self, rows: Iterable[int]) -> list[_Instance]:
         """Instances of this thread, which all designs share."""
-        rows = list(rows)
-        if max(rows, default=0) > 0 and self.kind.canBeInstantiatedOnlyOncePerProcess:
-            allowed = "one scenario at a time"
-            raise InputError(self.path, "can be instantiated only once in a process", allowed=allowed)
-        while len(self.instances) <= max(rows, default=-1):
-            self.instances.append(_Instance(self))
+        self._fill(self.instances, max(rows := list(rows), default=-1) + 1)
         return [self.instances[row] for row in rows]
+
+    def lease(self, m: int) -> list[_Instance]:
+        """Instances for as long as the list is held."""
+        self._fill(self.free, m)
+        leased = _Leased(self.free.pop() for _ in range(m))
+        weakref.finalize(leased, self.free.extend, [*leased])
+        return leased
+
+    def _fill(self, instances: list[_Instance], count: int) -> None:
+        if count > 1 and self.kind.canBeInstantiatedOnlyOncePerProcess:
+            raise InputError(self.path, "can be instantiated only once in a process", allowed="one scenario at a time")
+        while len(instances) < count:
+            instances.append(_Instance(self))
+
+
+class _Leased(list["_Instance"]):
+    """A list that can be waited for."""
 
 
 class _Instance:
@@ -483,6 +496,122 @@ def _gain(variable: Any, value: float | None) -> tuple[str, type, Any]:
     ends: dict[str, Any] = {key: float(limit) for key, limit in limits.items() if limit is not None}
     description = variable.description or f"parameter {variable.name}"
     return name, kind, gain(start, unit=variable.unit or "1", description=description, **ends)
+
+
+# ------------------------------------------------------------------------------------------------ FMU as a vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class FmuVehicle(VehicleModel):
+    """A vehicle that is an FMU of FMI 2.0 or 3.0 for co-simulation, with an instance a scenario.
+
+    Over each step its inputs are those of the middle of the step. Raises as `FmuLaw`.
+
+    Parameters
+    ----------
+    file : path
+        The FMU. Its content is a part of the model's identity.
+    inputs : mapping
+        Signals and the inputs that are shown them: delta [rad], v [m/s], v_rate [m/s^2], and of the lane
+        lane_yaw_rate [rad/s] and curvature [1/m].
+    outputs : mapping
+        States and the outputs that they are: a_y [m/s^2], and either v_y [m/s] and yaw_rate [rad/s] of the vehicle, or
+        e_y, e_y_rate, e_psi and e_psi_rate; any others beside them.
+    start : mapping
+        Signals, or e_y, e_y_rate, e_psi, e_psi_rate, v_y and yaw_rate, and the parameters of the FMU that are them at
+        the takeover.
+    step : float [s]
+        Longest communication step.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> ldc.FmuVehicle("missing.fmu", {"delta": "steer"}, {"v_y": "vy", "yaw_rate": "r", "a_y": "ay"})
+    Traceback (most recent call last):
+    ...
+    ldctoolkit.errors.InputError: missing.fmu: cannot be read: No such file or directory
+    """
+
+    file: dataclasses.InitVar[str | Path]
+    inputs: Any
+    outputs: Any
+    start: Any = ()
+    step: float = 0.01
+
+    def __post_init__(self, file: str | Path) -> None:
+        content = _read(Path(file))
+        held = _File(_digest(content), Path(file).absolute())
+        fmu, moment = _fmu_of(held, content), ("delta", "v", "v_rate", "lane_yaw_rate", "curvature")
+        known = {"inputs": moment, "start": (*moment, *_STATE, "v_y", "yaw_rate"), "outputs": ()}
+        for table, causality in (("inputs", "input"), ("outputs", "output"), ("start", "parameter")):
+            pairs = tuple(dict(getattr(self, table)).items())
+            for signal, name in pairs:
+                if known[table] and signal not in known[table]:
+                    raise UnknownNameError(
+                        f"{fmu.path.name}: {table}", "is no signal", value=signal, allowed=known[table]
+                    )
+                fmu.check(name, causality, _REALS if table == "outputs" else _NUMBERS, f"{table}.{signal}")
+            object.__setattr__(self, table, pairs)
+        names = [name for name, _ in self.outputs]
+        if "a_y" not in names or not ({*_STATE} <= {*names} or {"v_y", "yaw_rate"} <= {*names}):
+            allowed = f"a_y, and v_y and yaw_rate or {', '.join(_STATE)}"
+            raise InputError(f"{fmu.path.name}: outputs", value=names, allowed=allowed)
+        if not fmu.kind.canHandleVariableCommunicationStepSize:
+            allowed = "canHandleVariableCommunicationStepSize"
+            raise InputError(fmu.path, "has a fixed communication step", allowed=allowed)
+        object.__setattr__(self, "step", Gain(name="step", default=0.01, unit="s", above=0.0).check(self.step))
+        object.__setattr__(self, "_file", held)
+        super().__post_init__()
+
+    def code(self) -> str:
+        """The content of the FMU."""
+        return str(vars(self)["_file"].digest)
+
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Outputs beyond e_y, e_y_rate, e_psi and e_psi_rate."""
+        return tuple(name for name, _ in self.outputs if name not in _STATE)
+
+    @property
+    def longest_step(self) -> float:  # type: ignore[override]
+        """The communication step."""
+        return self.step
+
+    def a_y(self, x: Any, delta: Any, v: Any, v_rate: Any, lane: Any) -> Any:
+        """As the FMU gives it at the end of a step."""
+        return x.a_y
+
+    def initial(self, turn: Any) -> Mapping[str, Any]:
+        """The single track's steady turn."""
+        yaw_rate = turn.yaw_rate + turn.e_psi_rate
+        a_y = turn.e_y_acceleration + turn.v * turn.yaw_rate
+        values = {"v_y": self.v_y(turn, turn.v), "yaw_rate": yaw_rate, "a_y": a_y}
+        return {name: value for name, value in values.items() if name in self.states}
+
+    def begin(self, turn: Any) -> Any:
+        """Instances that start at the takeover."""
+        fmu, m = _fmu_of(vars(self)["_file"]), turn.v.size
+        values = {name: getattr(turn, name) for name in (*_STATE, "delta", "v", "v_rate")}
+        values |= {"v_y": self.v_y(turn, turn.v), "yaw_rate": turn.yaw_rate + turn.e_psi_rate}
+        values |= {"lane_yaw_rate": turn.yaw_rate, "curvature": turn.yaw_rate / turn.v}
+        memory = fmu.lease(m)
+        names = tuple(name for _, name in self.start)
+        for i, instance in enumerate(memory):
+            instance.start(names, [values[signal][i] for signal, _ in self.start])
+        return memory, np.zeros(m)
+
+    def advance(self, memory: Any, rows: IntArray, x: Any, road: Any, h: FloatArray) -> Mapping[str, Any]:
+        """States after a step of the instances."""
+        (instances, time), names = memory, tuple(name for _, name in self.outputs)
+        shown = np.stack([getattr(road[1], signal.removeprefix("lane_")) for signal, _ in self.inputs], axis=-1)
+        inputs, answers = tuple(name for _, name in self.inputs), np.empty((len(rows), len(names)))
+        for k, row in enumerate(rows.tolist()):
+            answers[k] = instances[row].advance(inputs, shown[k].tolist(), time[row], float(h[k]), 1, names)
+        time[rows] += h
+        after = dict(zip((name for name, _ in self.outputs), answers.T, strict=True))
+        if {*_STATE} <= {*after}:
+            return after
+        return self.error_state(x, road, h, after["v_y"], after["yaw_rate"]) | after
 
 
 # ------------------------------------------------------------------------------------------------ C code
