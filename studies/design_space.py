@@ -331,6 +331,7 @@ class DesignBlock(Part):
     # Conditions: gain -> other gain of the same law -> its values for which the first one varies
     when: dict[str, dict[str, tuple[Any, ...]]] = Field(default_factory=dict)
     sample: SampleSettings | None = None  # Take points of the space instead of the full grid
+    files: dict[str, str] = Field(default_factory=dict)  # Where laws of files are found, by their names
 
     _kinds: tuple[type[Controller], ...] = PrivateAttr()
 
@@ -361,7 +362,7 @@ class DesignBlock(Part):
         gains = {name: _written(entry) for name, entry in self.gains.items()}
         content = {"law": self.law, "y_s": _written(self.y_s), "gains": gains}
         # a full grid is reported as it was before there were samples and conditions
-        return content | {key: value for key in ("when", "sample") if (value := getattr(self, key))}
+        return content | {key: value for key in ("when", "sample", "files") if (value := getattr(self, key))}
 
     @property
     def laws(self) -> tuple[str, ...]:

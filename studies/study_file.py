@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_args
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, ValidationError, create_model, model_validator
 
 from ldctoolkit.checked_files import read_toml
-from ldctoolkit.code_content import content_of
+from ldctoolkit.code_content import content_of, from_file
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
@@ -364,7 +364,10 @@ class Study(Part):
             Classes of laws by their names; the others are looked up.
         """
         try:
-            study = cls.model_validate(as_tuples(content), context=classes)
+            content = load_laws(content, Path(folder), known := dict(classes or {}))
+            study = cls.model_validate(as_tuples(content), context=known)
+        except InputError as error:
+            raise StudyError.of(error.within(source, ": ")) from None
         except ValidationError as error:
             raise StudyError.of(first_problem(error, content, cls, "study").within(source, ": ")) from None
         study._folder = Path(folder)
@@ -455,7 +458,8 @@ class Study(Part):
         if self.search is None:
             return same | {"designs": [design.id for design in self.designs]}
         content = self.content()
-        same |= {key: content[key] for key in ("search", "design")}
+        tables = [{key: table[key] for key in table if key != "files"} for table in content["design"]]
+        same |= {"search": content["search"], "design": tables}
         return same | ({"laws": laws} if (laws := self.laws()) else {})
 
     @property
@@ -566,19 +570,60 @@ def study(
 def _block(design: object, y_s: float | Sequence[float], classes: dict[str, type[Controller]]) -> dict[str, Any]:
     """A ``[[design]]`` table."""
     if isinstance(design, dict):
-        return {"y_s": y_s, **design}
-    law = type(design) if isinstance(design, Controller) else design
-    if isinstance(law, type) and issubclass(law, Controller):
-        if law.name not in controller_names() or controller_class(law.name) is not law:
-            register(law)
-        if content_of(classes.setdefault(law.name, law)) != content_of(law):
-            raise InputError("design", "names two different laws", value=law.name, allowed="a name for each")
-        law = law.name
-    if not isinstance(law, str):
+        return _named_laws({"y_s": y_s, **design}, classes)
+    table = _named_laws({"law": design}, classes)
+    if not isinstance(table["law"], str):
         allowed = "a controller, its class, the name of a law, or a design table, each an argument of its own"
         raise InputError("design", value=design, allowed=allowed)
-    gains = {gain.name: getattr(design, gain.name) for gain in design.gains()} if isinstance(design, Controller) else {}
-    return {"law": law, "gains": gains} | ({} if law == "none" else {"y_s": y_s})
+    return {"gains": {}, **table} | ({} if table["law"] == "none" else {"y_s": y_s})
+
+
+def _named_laws(
+    table: dict[str, Any], classes: dict[str, type[Controller]], folder: Path | None = None, path: str = "design"
+) -> dict[str, Any]:
+    """A design table that names laws which were given as designs, classes or FILE.py:NAME; they are registered.
+
+    Its ``files`` are the places of those from files, by name: in another process they are loaded from there.
+    """
+    laws, names, gains = table.get("law"), list[Any](), dict[str, Any]()
+    files = dict(table.get("files", {})) if isinstance(table.get("files", {}), dict) else {}
+    stored = [file for name, file in files.items() if name not in classes]
+    for law in [*stored, *(laws if isinstance(laws, list | tuple) else [laws])]:
+        given, file = law, isinstance(law, str) and ".py:" in law and folder is not None
+        if folder is not None and file:
+            given = from_file(path, law, folder, "FILE.py:NAME of a controller or its class")
+        if isinstance(given, Controller):
+            gains |= {gain.name: getattr(given, gain.name) for gain in given.gains()}
+            given = type(given)
+        if isinstance(given, type) and issubclass(given, Controller):
+            if given.name not in controller_names() or controller_class(given.name) is not given:
+                register(given)
+            if content_of(classes.setdefault(given.name, given)) != content_of(given):
+                raise InputError(path, "names two different laws", value=given.name, allowed="a name for each")
+            if folder is not None and file:
+                files[given.name] = str((folder / law).resolve())
+            given = given.name
+        elif file:
+            raise InputError(path, "is no controller", value=law, allowed="FILE.py:NAME of a controller or its class")
+        names.append(given)
+    names = names[len(stored) :]
+    table = table | {"law": names if isinstance(laws, list | tuple) else names[0]} | ({"files": files} if files else {})
+    given_gains = table.get("gains", {})
+    return table | ({"gains": gains | given_gains} if gains and isinstance(given_gains, dict) else {})
+
+
+def load_laws(content: dict[str, Any], folder: Path, classes: dict[str, type[Controller]]) -> dict[str, Any]:
+    """What a study file holds, with its laws known to this process and named."""
+    if not isinstance(tables := content.get("design"), list | tuple):
+        return content
+    return content | {
+        "design": [
+            _named_laws(table, classes, folder, f"design[{i}].law")
+            if isinstance(table, dict) and "law" in table
+            else table
+            for i, table in enumerate(tables)
+        ]
+    }
 
 
 def catalog_names() -> tuple[str, ...]:

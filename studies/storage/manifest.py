@@ -21,7 +21,7 @@ from ldctoolkit.registry import with_content
 from ldctoolkit.version import DECISIVE, versions
 
 from ..design import Design
-from ..study_file import Study
+from ..study_file import Study, load_laws
 from .checked_parts import difference_texts
 from .folder_files import read_bytes, read_parquet, write_json, write_parquet
 
@@ -272,6 +272,7 @@ class Manifest(BaseModel):
             return Study.from_dict(self.study, source="study")
         if others := self.other_versions():
             raise StoreError("versions", f"the study was run with {others}", hint=_AGAIN)
+        load_laws(self.study, Path(), {})
         classes: dict[str, Any] = {name: with_content(name, content) for name, content in self.laws.items()}
         changed = [name for name, kind in classes.items() if kind is None]
         if not changed:
