@@ -259,7 +259,7 @@ class _Fmu:
         try:
             with zipfile.ZipFile(io.BytesIO(self.content)) as packed:
                 packed.extractall(self.room.name)
-            return kind(**names, unzipDirectory=self.room.name, instanceName=self.path.stem, requireFunctions=False)
+            return kind(**names, unzipDirectory=self.room.name, instanceName=self.path.stem)
         except Exception as error:  # fmpy raises this class
             raise LdcError(self.path, f"cannot be loaded: {first_line(error)}") from None
 
