@@ -233,7 +233,7 @@ def test_what_does_not_fit_the_fmu(
 @pytest.mark.parametrize(
     ("given", "problem"),
     [
-        ({"version": "1.0"}, "FMI 1.0"), ({"kind": "ModelExchange"}, "model exchange only"),
+        ({"version": "1.0"}, "FMI 2.0 or 3.0"), ({"kind": "ModelExchange"}, "model exchange only"),
         ({"platform": "win64"}, "win64"),
     ],
 )  # fmt: skip
