@@ -361,6 +361,12 @@ class Equations:
             after, area = _runge_kutta(rate, x, e[:, 4].copy(), [*points])
         return np.column_stack([after[:4].T, area]), after[4:].T
 
+    def advanced(self, memory: Any, rows: IntArray, x: Any, road: Any, h: FloatArray) -> list[FloatArray]:
+        """All states after the model's own step, arrays (k,)."""
+        path = f"{self.name}.advance"
+        given = called(path, self.model.advance, memory, rows, x, road, h, hint="")
+        return [*self._values(path, given, self.names, (h,)).values()]
+
     def jacobian(self, x: FloatArray, p: FloatArray) -> FloatArray:
         """Derivatives of the rates on the states and on the wheel angle, (n, N, N + 1), by central differences."""
         z = np.concatenate([x, p[:, 3:]], axis=1)
@@ -465,7 +471,7 @@ def _steady_turn(model: VehicleModel, turn: RecordedTurn, guess: Mapping[str, An
         with np.errstate(all="ignore"):
             for _ in range(_ROUNDS):
                 slopes, off = _slopes(missing, z), missing(z)
-                usable: BoolArray = np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(off).all(axis=1)
+                usable = np.asarray(np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(off).all(axis=1))
                 inverse = np.linalg.pinv(np.where(usable[:, None, None], slopes, 0.0))
                 step = -(inverse @ np.where(usable[:, None], off, 0.0)[:, :, None])[:, :, 0]
                 step /= np.maximum(1.0, np.abs(step[:, :2]).max(axis=1) / _LARGEST_TURN)[:, None]
