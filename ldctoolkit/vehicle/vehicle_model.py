@@ -10,6 +10,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
+import hashlib
 import pickle
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Final
@@ -113,6 +114,11 @@ class VehicleModel(CheckedArguments, abc.ABC):
     def code(self) -> str:
         """What identifies the model beside its fields: the content of the class's code."""
         return content_of(type(self))
+
+    @property
+    def identity(self) -> str:
+        """Sixteen hexadecimal digits of the class, its code and the fields."""
+        return hashlib.sha256(repr((type(self).__qualname__, vars(self))).encode()).hexdigest()[:16]
 
     @property
     def advances(self) -> bool:
