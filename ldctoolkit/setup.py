@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ldctoolkit.declared import Declaration, check_declared, checked_seed, declarations, declared, short_repr
 from ldctoolkit.errors import CheckedArguments, InputError, expect
-from ldctoolkit.plant_options import Mismatch, PlantOptions, Tyres
+from ldctoolkit.plant_options import Mismatch, PlantOptions
 from ldctoolkit.vehicle import BicycleModel, Convention, Plant, VehicleModel, VehicleParameters
 
 InitialYawRate = Literal["path", "zero"]
@@ -60,8 +60,8 @@ class Setup(CheckedArguments):
     ttlc : float [s]
         That time to line crossing, up to 10; only of the trigger ``"ttlc"``.
     vehicle_model : VehicleModel, optional
-        What is driven in place of the single track; designs are still made for `vehicle`. Tyres and mismatch are the
-        single track's and stay nominal, `convention` and `start` keep their defaults.
+        What is driven in place of the single track. Designs are still made for `vehicle`; it and `options.tyres` also
+        give the recorded path its heading before the trigger. Mismatch, `convention` and `start` keep their defaults.
 
     Examples
     --------
@@ -111,9 +111,10 @@ class Setup(CheckedArguments):
         if self.vehicle_model is not None:
             options = self.options
             for name, value, default in (
-                ("convention", self.convention, "consistent"), ("start", self.start, "steady"),
-                ("tyres", options.tyres, Tyres()), ("mismatch", options.mismatch, Mismatch()),
-            ):  # fmt: skip
+                ("convention", self.convention, "consistent"),
+                ("start", self.start, "steady"),
+                ("mismatch", options.mismatch, Mismatch()),
+            ):
                 if value != default:
                     hint = "they belong to the single track: the model brings its own"
                     raise InputError(name, "with a vehicle model", value=value, allowed=repr(default), hint=hint)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
+import hashlib
 import pickle
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Final
@@ -115,6 +116,11 @@ class VehicleModel(CheckedArguments, abc.ABC):
         return content_of(type(self))
 
     @property
+    def identity(self) -> str:
+        """Sixteen hexadecimal digits of the class, its code and the fields."""
+        return hashlib.sha256(repr((type(self).__qualname__, vars(self))).encode()).hexdigest()[:16]
+
+    @property
     def advances(self) -> bool:
         """Whether the model advances its own states."""
         return type(self).advance is not VehicleModel.advance
@@ -214,7 +220,7 @@ class VehicleModel(CheckedArguments, abc.ABC):
     def steady_turn(self, turn: RecordedTurn, **guess: Any) -> dict[str, FloatArray]:
         """e_psi, delta and states at which the path has its lateral acceleration and nothing else changes, by Newton.
 
-        Beyond the largest lateral acceleration it is the turn of that; NaN where there is none.
+        Beyond its largest lateral acceleration, where there is none, e_psi and delta are the single track's.
 
         Parameters
         ----------
@@ -361,6 +367,12 @@ class Equations:
             after, area = _runge_kutta(rate, x, e[:, 4].copy(), [*points])
         return np.column_stack([after[:4].T, area]), after[4:].T
 
+    def advanced(self, memory: Any, rows: IntArray, x: Any, road: Any, h: FloatArray) -> list[FloatArray]:
+        """All states after the model's own step, arrays (k,)."""
+        path = f"{self.name}.advance"
+        given = called(path, self.model.advance, memory, rows, x, road, h, hint="")
+        return [*self._values(path, given, self.names, (h,)).values()]
+
     def jacobian(self, x: FloatArray, p: FloatArray) -> FloatArray:
         """Derivatives of the rates on the states and on the wheel angle, (n, N, N + 1), by central differences."""
         z = np.concatenate([x, p[:, 3:]], axis=1)
@@ -389,10 +401,10 @@ class Equations:
         return x, delta
 
     def fastest(self, x: FloatArray, p: FloatArray) -> FloatArray:
-        """Largest eigenvalue of the Jacobian by size, (n,) [1/s]."""
-        if self.model.advances or not len(x):
-            return np.zeros(len(x))
-        rates: FloatArray = np.abs(np.linalg.eigvals(self.jacobian(x, p)[:, :, :-1])).max(axis=1)
+        """Largest eigenvalue or diagonal entry of the Jacobian by size, (n,) [1/s]."""
+        A = self.jacobian(x, p)[:, :, :-1]
+        both = np.column_stack([np.linalg.eigvals(A), np.diagonal(A, axis1=1, axis2=2)])
+        rates: FloatArray = np.abs(both).max(axis=1, initial=0.0)
         if (stiff := rates > FASTEST).any():
             at, allowed = f"at {p[stiff][0, 0]:.3g} m/s", f"at least {1.0 / FASTEST:g} s"
             hint = "what is faster may follow at once: write it as an equation, not as a state"
@@ -436,8 +448,8 @@ def _slopes(function: Callable[[FloatArray], FloatArray], z: FloatArray) -> Floa
 
 
 _ROUNDS: Final = 25  # Newton steps
-_HALVINGS: Final = 40  # of the share of a lateral acceleration that no steady turn reaches
-_LARGEST_TURN: Final = 0.1  # [rad] change of e_psi and delta in a Newton step
+_SHORTER: Final = 5  # Times that one is halved at most
+_LARGEST_TURN: Final = 0.1  # [rad] change of e_psi and delta in a step
 
 
 def _steady_turn(model: VehicleModel, turn: RecordedTurn, guess: Mapping[str, Any]) -> dict[str, FloatArray]:
@@ -446,47 +458,50 @@ def _steady_turn(model: VehicleModel, turn: RecordedTurn, guess: Mapping[str, An
     if unknown := [name for name in guess if name not in names]:
         raise UnknownNameError(f"{eq.name}.steady_turn.{unknown[0]}", "no such state", allowed=names)
     first = {"e_psi": turn.e_psi, "delta": turn.delta} | dict.fromkeys(model.states, 0.0) | {**guess}
-    begin = np.column_stack([np.broadcast_to(np.asarray(first[name], dtype=float), m) for name in names])
+    z = np.column_stack([np.broadcast_to(np.asarray(first[name], dtype=float), m) for name in names])
 
-    def solve(rows: IntArray, z: FloatArray, share: FloatArray | float) -> tuple[FloatArray, BoolArray]:
-        """Turns with a share of the lateral acceleration, and which were found."""
-        at, done = turn.take(rows), np.zeros(rows.size, dtype=np.bool_)
+    def missing(z: FloatArray, at: RecordedTurn) -> FloatArray:
+        """Rates that should be 0: of e_y_rate beyond the path's, of e_psi_rate, of the states."""
+        x = np.column_stack([at.e_y, at.e_y_rate, z[:, 0], at.e_psi_rate, z[:, 2:]])
+        rates = eq.rates(x, np.column_stack([at.v, at.v_rate, at.yaw_rate, z[:, 1]]))
+        return np.column_stack([rates[:, 1] - at.e_y_acceleration, rates[:, 3:]])
 
-        def missing(z: FloatArray) -> FloatArray:
-            x = np.column_stack([at.e_y, at.e_y_rate, z[:, 0], at.e_psi_rate, z[:, 2:]])
-            rates = eq.rates(x, np.column_stack([at.v, at.v_rate, at.yaw_rate, z[:, 1]]))
-            sin, cos = np.sin(z[:, 0]), np.cos(z[:, 0])
-            turning = at.e_psi_rate * (at.v * cos - (at.e_y_rate - at.v * sin) / cos * sin)
-            a_y = (at.e_y_acceleration - at.v_rate * sin - turning) / cos + at.v * (at.yaw_rate + at.e_psi_rate)
-            off = rates[:, 1] - at.e_y_acceleration + (1.0 - share) * a_y * cos
-            return np.column_stack([off, rates[:, 3:]])
-
-        z = z.copy()
-        with np.errstate(all="ignore"):
-            for _ in range(_ROUNDS):
-                slopes, off = _slopes(missing, z), missing(z)
-                usable: BoolArray = np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(off).all(axis=1)
-                inverse = np.linalg.pinv(np.where(usable[:, None, None], slopes, 0.0))
-                step = -(inverse @ np.where(usable[:, None], off, 0.0)[:, :, None])[:, :, 0]
-                step /= np.maximum(1.0, np.abs(step[:, :2]).max(axis=1) / _LARGEST_TURN)[:, None]
-                z += np.where(done[:, None], 0.0, step)
-                done |= usable & (np.abs(step) <= 1e-10 * (1.0 + np.abs(z))).all(axis=1)
-                if done.all():
-                    break
-            scale = np.abs(slopes).max(axis=2) * 1e-6 + 1e-9
-            return z, done & (np.abs(missing(z)) <= scale).all(axis=1)
-
-    z, found = solve(np.arange(m), begin, 1.0)
-    rows = np.flatnonzero(~found)
-    if rows.size:  # beyond the largest lateral acceleration: the largest share of it that can be held
-        z[rows], some = solve(rows, begin[rows], 0.0)
-        low, high = np.zeros(rows.size), np.ones(rows.size)
-        for _ in range(_HALVINGS if some.any() else 0):
-            middle = 0.5 * (low + high)
-            new, there = solve(rows, z[rows], middle)
-            z[rows[there]], low, high = new[there], np.where(there, middle, low), np.where(there, high, middle)
-        z[rows[~some]] = np.nan
+    found = _newton(functools.partial(missing, at=turn), z)
+    lost = ~found
+    if lost.any():  # no such turn: that of the single track, with states that do not change in it
+        at, fixed = turn.take(lost), np.column_stack([turn.e_psi, turn.delta])[lost]
+        z[lost, :2], own = fixed, z[lost, 2:]
+        for j in range(own.shape[1]):
+            own[:, j] = np.broadcast_to(np.asarray(first[model.states[j]], dtype=float), m)[lost]
+        if own.size:
+            settled = _newton(lambda own: missing(np.column_stack([fixed, own]), at)[:, 2:], own)
+            z[lost, 2:] = np.where(settled[:, None], own, np.nan)
     return dict(zip(names, z.T.copy(), strict=True))
+
+
+def _newton(missing: Callable[[FloatArray], FloatArray], z: FloatArray) -> BoolArray:
+    """Move z (m, j) to where the values `missing` (m, j) are 0; which rows were found, (m,)."""
+    done = np.zeros(len(z), dtype=np.bool_)
+    slopes = off = np.zeros((len(z), 0))
+    with np.errstate(all="ignore"):
+        for _ in range(_ROUNDS):
+            slopes, off = _slopes(missing, z), missing(z)
+            usable = np.asarray(np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(off).all(axis=1))
+            inverse = np.linalg.pinv(np.where(usable[:, None, None], slopes, 0.0))
+            step = (inverse @ np.where(usable[:, None], -off, 0.0)[:, :, None])[:, :, 0]
+            length = np.abs(step).sum(axis=1)
+            step /= np.maximum(1.0, np.abs(step[:, :2]).max(axis=1, initial=0.0) / _LARGEST_TURN)[:, None]
+            for _ in range(_SHORTER):  # where the step after it would be no shorter
+                after = np.abs(inverse @ missing(z + step)[:, :, None]).sum(axis=(1, 2))
+                worse = ~done & (length > 1e-9) & ~(after <= length)
+                if not worse.any():
+                    break
+                step[worse] *= 0.5
+            z += np.where(done[:, None], 0.0, step)
+            done |= usable & (np.abs(step) <= 1e-10 * (1.0 + np.abs(z))).all(axis=1)
+            if done.all():
+                break
+        return np.asarray(done & (np.abs(missing(z)) <= 1e-6 * np.abs(slopes).max(axis=2) + 1e-9).all(axis=1))
 
 
 _FREQUENCIES: Final = 2.0 * np.pi * np.array([1e-3, 0.5, 1.0, 1.5, 2.0])  # [rad/s] of the fitted steering response
