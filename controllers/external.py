@@ -18,7 +18,6 @@ import shutil
 import subprocess
 import sys
 import threading
-import weakref
 import zipfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -28,7 +27,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.control import Controller, EventStatus, Preview, StatusArray, SteeringLaw
+from ldctoolkit.checked_files import write_whole
+from ldctoolkit.control import Controller, EventStatus, Preview, SteeringLaw
 from ldctoolkit.declared import Gain, gain
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError, first_line
 from ldctoolkit.surroundings import temporary_folder
@@ -157,7 +157,7 @@ class _ExternalLaw(SteeringLaw):
 
     def step(
         self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: Any
-    ) -> tuple[FloatArray, Any, StatusArray]:
+    ) -> tuple[FloatArray, Any, Any]:
         line, wheel = x[:, 0] - self.edge, preview.wheel
         now = dict(zip(_STATE, x.T, strict=True)) | {
             "v": self.v, "wheel": delta_prev if wheel is None else wheel, "delta_prev": delta_prev, "t": t,
@@ -205,7 +205,7 @@ class _Fmu:
 
     def __init__(self, content: bytes, path: Path) -> None:
         fmpy, allowed = _fmpy(), "an FMU of FMI 2.0 or 3.0 for co-simulation"
-        self.path, self.content, self.instances, self.free = path, content, list[_Instance](), list[_Instance]()
+        self.path, self.content, self.instances = path, content, list[_Instance]()
         self._calls: dict[tuple[str, ...], list[tuple[str, list[int], list[int]]]] = {}
         try:
             self.description = fmpy.read_model_description(io.BytesIO(content), validate=False)
@@ -264,26 +264,13 @@ class _Fmu:
             raise LdcError(self.path, f"cannot be loaded: {first_line(error)}") from None
 
     def some(self, rows: Iterable[int]) -> list[_Instance]:
-        """Instances of this thread, which all designs share."""
-        self._fill(self.instances, max(rows := list(rows), default=-1) + 1)
-        return [self.instances[row] for row in rows]
-
-    def lease(self, m: int) -> list[_Instance]:
-        """Instances for as long as the list is held."""
-        self._fill(self.free, m)
-        leased = _Leased(self.free.pop() for _ in range(m))
-        weakref.finalize(leased, self.free.extend, [*leased])
-        return leased
-
-    def _fill(self, instances: list[_Instance], count: int) -> None:
+        """Instances of this thread, which all designs and runs share: who begins anew takes them over."""
+        count = max(rows := list(rows), default=-1) + 1
         if count > 1 and self.kind.canBeInstantiatedOnlyOncePerProcess:
             raise InputError(self.path, "can be instantiated only once in a process", allowed="one scenario at a time")
-        while len(instances) < count:
-            instances.append(_Instance(self))
-
-
-class _Leased(list["_Instance"]):
-    """A list that can be waited for."""
+        while len(self.instances) < count:
+            self.instances.append(_Instance(self))
+        return [self.instances[row] for row in rows]
 
 
 class _Instance:
@@ -419,33 +406,25 @@ def FmuLaw(
 ) -> Controller:
     """Make a design of a controller that is an FMU of FMI 2.0 or 3.0 for co-simulation.
 
-    At each sample its inputs are set, it is stepped over the sample time, and its output is the command. A step that
-    fails, or an output that is no number, counts as a failed solve, for which the command before is held.
-
-    Raises `InputError` for a file, variable or value that cannot be used, `UnknownNameError` for signals and variables
-    that do not exist, and `LdcError` without fmpy.
+    A step that fails and a command that is no number count as a failed solve. Raises `InputError` for a file, variable
+    or value that cannot be used, `UnknownNameError` for names that do not exist, `LdcError` without fmpy.
 
     Parameters
     ----------
     file : path
         The FMU. Its content is a part of the design's identity.
     inputs : mapping, optional
-        Signals and the inputs that are shown them. By default inputs have the names of the interface of ``ldc export``.
+        Signals and the inputs that are shown them; by default of the names in the interface of ``ldc export``.
     output : str
         Output that is the command [rad], positive to the left.
     step : float [s], optional
         Communication step, a whole fraction of the sample time, which is the default.
     parameters : mapping or iterable of str
-        Parameters of the FMU that become gains, with values, or with the start values of the FMU.
+        Parameters that become gains, with values, or with the start values of the FMU.
     status : str, optional
         Whole output with the bits of ``status`` in the interface of ``ldc export``.
     name : str
         Name of the law; by default that of the file.
-
-    Returns
-    -------
-    Controller
-        `dataclasses.replace` changes its gains; its class can be registered.
 
     Examples
     --------
@@ -594,7 +573,7 @@ class FmuVehicle(VehicleModel):
         values = {name: getattr(turn, name) for name in (*_STATE, "delta", "v", "v_rate")}
         values |= {"v_y": self.v_y(turn, turn.v), "yaw_rate": turn.yaw_rate + turn.e_psi_rate}
         values |= {"lane_yaw_rate": turn.yaw_rate, "curvature": turn.yaw_rate / turn.v}
-        memory = fmu.lease(m)
+        memory = fmu.some(range(m))
         names = tuple(name for _, name in self.start)
         for i, instance in enumerate(memory):
             instance.start(names, [values[signal][i] for signal, _ in self.start])
@@ -643,7 +622,7 @@ class _Library:
 
         (header, declarations, binary), self.ffi, self.room = file(), cffi.FFI(), temporary_folder()
         path = Path(self.room.name) / "controller.so"
-        path.write_bytes(binary)
+        write_whole(path, binary, LdcError)
         try:
             self.ffi.cdef(declarations)
             library = self.ffi.dlopen(str(path))
@@ -703,24 +682,16 @@ def CLaw(path: str | Path, *, name: str = "") -> Controller:
     """Make a design of a controller in C with the interface of ``ldc export``.
 
     The header ``ldc_controller.h`` beside it declares ``ldc_inputs``, ``ldc_outputs``, ``ldc_state``, ``ldc_step`` and,
-    if there is one, ``ldc_init``. Inputs are any of that interface; of the outputs ``delta`` is read, and ``status`` if
-    there is one. The state is plain data; the code keeps nothing else.
-
-    Raises `InputError` for a file that cannot be used, `UnknownNameError` for an input that is no signal, and
-    `LdcError` without a compiler, or for what it refuses.
+    if there is one, ``ldc_init``. The state is plain data; the code keeps nothing else. Raises `InputError` for a file
+    that cannot be used, `UnknownNameError` for an input that is no signal, `LdcError` for what the compiler refuses.
 
     Parameters
     ----------
     path : path
-        The folder of an export, of which every source but ``main.c`` is compiled; a C source; or a shared library. The
-        content of sources, headers and library is a part of the design's identity.
+        The folder of an export, a C source, or a shared library. The content of sources, headers and library is a part
+        of the design's identity.
     name : str
         Name of the law; by default that of the file or folder.
-
-    Returns
-    -------
-    Controller
-        Its class can be registered.
 
     Examples
     --------

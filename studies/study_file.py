@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_type
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, ValidationError, create_model, model_validator
 
 from ldctoolkit.checked_files import read_toml
-from ldctoolkit.code_content import content_of, from_file
+from ldctoolkit.code_content import from_file
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError, raised
 from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.registry import controller_class, controller_names, register
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
@@ -29,7 +28,7 @@ from ldctoolkit.vehicle import Convention, VehicleModel
 from ldctoolkit.vehicle.bicycle import VehicleParameters
 
 from .design import Design
-from .design_space import DesignBlock, check_blocks
+from .design_space import DesignBlock, check_blocks, load_laws, named_laws
 from .requirements import SETS, metric, parse_requirement
 from .standards import VEHICLES, standard_names
 
@@ -636,60 +635,12 @@ def study(
 def _block(design: object, y_s: float | Sequence[float], classes: dict[str, type[Controller]]) -> dict[str, Any]:
     """A ``[[design]]`` table."""
     if isinstance(design, dict):
-        return _named_laws({"y_s": y_s, **design}, classes)
-    table = _named_laws({"law": design}, classes)
+        return named_laws({"y_s": y_s, **design}, classes)
+    table = named_laws({"law": design}, classes)
     if not isinstance(table["law"], str):
         allowed = "a controller, its class, the name of a law, or a design table, each an argument of its own"
         raise InputError("design", value=design, allowed=allowed)
     return {"gains": {}, **table} | ({} if table["law"] == "none" else {"y_s": y_s})
-
-
-def _named_laws(
-    table: dict[str, Any], classes: dict[str, type[Controller]], folder: Path | None = None, path: str = "design"
-) -> dict[str, Any]:
-    """A design table that names laws which were given as designs, classes or FILE.py:NAME; they are registered.
-
-    Its ``files`` are the places of those from files, by name: in another process they are loaded from there.
-    """
-    laws, names, gains = table.get("law"), list[Any](), dict[str, Any]()
-    files = dict(table.get("files", {})) if isinstance(table.get("files", {}), dict) else {}
-    stored = [file for name, file in files.items() if name not in classes]
-    for law in [*stored, *(laws if isinstance(laws, list | tuple) else [laws])]:
-        given, file = law, isinstance(law, str) and ".py:" in law and folder is not None
-        if folder is not None and file:
-            given = from_file(path, law, folder, "FILE.py:NAME of a controller or its class")
-        if isinstance(given, Controller):
-            gains |= {gain.name: getattr(given, gain.name) for gain in given.gains()}
-            given = type(given)
-        if isinstance(given, type) and issubclass(given, Controller):
-            if given.name not in controller_names() or controller_class(given.name) is not given:
-                register(given)
-            if content_of(classes.setdefault(given.name, given)) != content_of(given):
-                raise InputError(path, "names two different laws", value=given.name, allowed="a name for each")
-            if folder is not None and file:
-                files[given.name] = str((folder / law).resolve())
-            given = given.name
-        elif file:
-            raise InputError(path, "is no controller", value=law, allowed="FILE.py:NAME of a controller or its class")
-        names.append(given)
-    names = names[len(stored) :]
-    table = table | {"law": names if isinstance(laws, list | tuple) else names[0]} | ({"files": files} if files else {})
-    given_gains = table.get("gains", {})
-    return table | ({"gains": gains | given_gains} if gains and isinstance(given_gains, dict) else {})
-
-
-def load_laws(content: dict[str, Any], folder: Path, classes: dict[str, type[Controller]]) -> dict[str, Any]:
-    """What a study file holds, with its laws known to this process and named."""
-    if not isinstance(tables := content.get("design"), list | tuple):
-        return content
-    return content | {
-        "design": [
-            _named_laws(table, classes, folder, f"design[{i}].law")
-            if isinstance(table, dict) and "law" in table
-            else table
-            for i, table in enumerate(tables)
-        ]
-    }
 
 
 def catalog_names() -> tuple[str, ...]:

@@ -21,8 +21,9 @@ from ldctoolkit.registry import with_content
 from ldctoolkit.version import DECISIVE, versions
 
 from ..design import Design
+from ..design_space import load_laws
 from ..standards import VEHICLES
-from ..study_file import Study, load_laws
+from ..study_file import Study
 from .checked_parts import difference_texts
 from .folder_files import read_bytes, read_parquet, write_json, write_parquet
 
