@@ -36,7 +36,10 @@ from ldctoolkit.vehicle import Plant, VehicleModel
 
 _STATE: Final = ("e_y", "e_y_rate", "e_psi", "e_psi_rate")
 _LANE: Final = ("curvature", "yaw_rate", "heading")  # also ahead, as ``curvature@0.5``
-_OTHERS: Final = ("v", "wheel", "delta_prev", "line_left", "line_right", "line_rate", "takeover", "engage", "t")
+_OTHERS: Final = (
+    "v", "wheel", "delta_prev", "line_left", "line_right", "line_rate", "takeover", "engage", "t",
+    "frame_e_y", "frame_e_psi", "frame_new", "curvature_seen",
+)  # fmt: skip
 _BEYOND: Final = 100.0  # [m] At the takeover: further beyond the line than any threshold
 _FAILED, _BEYOND_DELTA_MAX = 1 | 2 | 4 | 16, 8  # Bits of ``status``, as in the header of an export
 
@@ -116,7 +119,7 @@ class ExternalController(Controller):
             allowed = f"the sample time of the loop, {plant.dt:g} s, or a whole fraction of it"
             raise InputError(f"{self.name}.step", value=step, allowed=allowed)
         edge = plant.model.parameters.edge_offset
-        return self.law(self, plant.v, edge, plant.dt, parts, np.arange(plant.n))
+        return self.law(self, plant.v, edge, plant.age, plant.dt, parts, np.arange(plant.n))
 
 
 def _design(base: dict[str, Any], path: Path, kind: str, name: str, gains: Iterable[Any] = ()) -> Controller:
@@ -136,13 +139,15 @@ class _ExternalLaw(SteeringLaw):
     design: ExternalController
     v: FloatArray  # (n,) [m/s]
     edge: float  # [m] Offset of the vehicle's centre when its edge is on the line
+    age: float  # [s] Of the state that is seen
     dt: float
     parts: int  # Communication steps of a sample
     rows: IntArray  # (n,) Instances
 
     @functools.cached_property
     def _signals(self) -> list[tuple[str, float]]:
-        return [_signal(name, "") for name, _ in self.design.inputs]
+        signals = [_signal(name, "") for name, _ in self.design.inputs]
+        return [("curvature", -self.age) if base == "curvature_seen" else (base, time) for base, time in signals]
 
     @functools.cached_property
     def preview_times(self) -> FloatArray:
@@ -158,11 +163,14 @@ class _ExternalLaw(SteeringLaw):
     def step(
         self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: Any
     ) -> tuple[FloatArray, Any, Any]:
-        line, wheel = x[:, 0] - self.edge, preview.wheel
+        line, wheel, frame = x[:, 0] - self.edge, preview.wheel, preview.frame
+        if frame is None or not len(state):  # a filter that begins with the state it is shown, or that needs none
+            frame = x[:, (0, 2)]
         now = dict(zip(_STATE, x.T, strict=True)) | {
             "v": self.v, "wheel": delta_prev if wheel is None else wheel, "delta_prev": delta_prev, "t": t,
             "line_left": line, "line_right": -x[:, 0] - self.edge, "line_rate": x[:, 1], "engage": np.ones(t.size),
-            "takeover": line if len(state) else np.full(t.size, _BEYOND),
+            "takeover": line if len(state) else np.full(t.size, _BEYOND), "frame_new": np.isfinite(frame[:, 0]),
+            "frame_e_y": np.nan_to_num(frame[:, 0]), "frame_e_psi": np.nan_to_num(frame[:, 1]),
         }  # fmt: skip
         shown = np.empty((t.size, len(self._signals)))
         for i, (base, time) in enumerate(self._signals):

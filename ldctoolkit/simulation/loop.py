@@ -518,6 +518,7 @@ def _drive_general(
     beyond, alive = np.zeros(m, dtype=np.bool_), np.ones(m, dtype=np.bool_)
     batch: IntArray | slice = slice(None)  # The scenarios that the law still holds
     active = np.arange(m)  # Rows of the batch that go on
+    filtered = takeover.setup.options.sensors.kalman is not None
     state = law.init(m)
     step_seconds: list[float] = []
     sample = 0
@@ -529,7 +530,8 @@ def _drive_general(
             plant.look(sample, times, *shown)
         x, yaw_rate, heading, wheel = (values[batch] for values in shown)
         t, previous = takeover.start[batch] + sample * takeover.setup.dt, np.where(alive, last, 0.0)[batch]
-        preview = Preview(yaw_rate, heading, wheel)
+        frame = np.concatenate([plant.new_frame(sample) for plant in plants])[batch] if filtered else None
+        preview = Preview(yaw_rate, heading, wheel, frame)
         started = time.perf_counter()
         result = law.step(t, x, preview, previous.copy(), state)
         step_seconds.append(time.perf_counter() - started)
