@@ -6,7 +6,8 @@ if __name__ == "controllers":  # in a checkout, whose root is on Python's path
 from ldctoolkit.control import check_class
 
 from .barrier_filter import BarrierFilter
-from .external import CLaw, FmuLaw, FmuVehicle
+from .external import CLaw
+from .fmu import FmuLaw, FmuVehicle
 from .from_opti import from_opti
 from .linear_mpc import LinearMPC
 from .lqi import LQI

@@ -21,7 +21,7 @@ from helpers.fmus import build
 from ldctoolkit import Controller, EventStatus, Setup, registry, simulate
 from ldctoolkit.code_content import content_of
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
-from ldctoolkit.plant_options import Actuator, PlantOptions, Sensors
+from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
 from ldctoolkit.studies.export import export_c
 from ldctoolkit.testing import check_controller_contract
 
@@ -63,6 +63,10 @@ SETUPS = {
         )
     ),
     "trigger by time": Setup(trigger="ttlc", ttlc=0.4, dt=0.04),
+    "camera behind a filter": Setup(
+        options=PlantOptions(sensors=Sensors(delay=0.08, period=0.15, e_y_step=0.02, kalman=KalmanFilter()))
+    ),
+    "the catalog": ldc.load_study("trigger-and-gains").setup(),
 }
 LAWS: dict[str, Controller] = {
     "lqi": ldc.LQI(), "pid": ldc.PID(), "stanley": ldc.Stanley(k_d_steer=0.2), "pure_pursuit": ldc.PurePursuit(),
@@ -72,7 +76,13 @@ LAWS: dict[str, Controller] = {
 
 @pytest.mark.parametrize(
     ("name", "setup"),
-    [*((name, "actuator and camera") for name in LAWS), ("lqi", "ideal plant"), ("linear_mpc", "trigger by time")],
+    [
+        *((name, "actuator and camera") for name in LAWS),
+        ("lqi", "ideal plant"),
+        ("linear_mpc", "trigger by time"),
+        ("pid", "the catalog"),
+        ("lqi", "camera behind a filter"),
+    ],
 )
 def test_exported_laws_taken_in_again_give_the_same(name: str, setup: str, tmp_path: Path) -> None:
     law, driven = LAWS[name], SETUPS[setup]
