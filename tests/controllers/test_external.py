@@ -371,3 +371,78 @@ def test_laws_of_files_that_cannot_be_loaded(tmp_path: Path) -> None:
             ldc.Study.from_dict({"name": "s", "design": [{"law": law}]}, folder=tmp_path)
     study = ldc.Study.from_dict({"name": "s", "design": [{"law": "laws.py:law"}]}, folder=tmp_path)
     assert dict(study.designs[0].gains)["r_delta"] == 5e4
+
+
+CAR = [
+    ("steer", "input", "Real", 'start="0"'), ("speed", "input", "Real", 'start="20"'),
+    ("bend", "input", "Real", 'start="0"'), *((f"x{i}", "parameter", "Real", 'start="0"') for i in range(4)),
+    *((name, "output", "Real", "") for name in ("y", "y_rate", "psi", "psi_rate", "ay", "vy", "r")),
+    ("begun", "local", "Real", 'start="0"'),
+]  # fmt: skip
+BICYCLE = """
+    double x[4], s = h / 50.0;  /* the paper's vehicle, by Heun's method */
+    if (v[14] == 0.0) { memcpy(v + 7, v + 3, sizeof x); v[14] = 1.0; }
+    memcpy(x, v + 7, sizeof x);
+    for (int k = 0; k < 50; k++) {
+        double rate[2][4], ahead[4], *at[2] = {x, ahead};
+        for (int p = 0; p < 2; p++) {
+            const double *z = at[p];
+            const double front = 160000.0 * (v[0] + z[2] - (z[1] + 1.43 * (z[3] + v[2])) / v[1]);
+            const double rear = 160000.0 * (z[2] - (z[1] - 1.47 * (z[3] + v[2])) / v[1]);
+            v[11] = (front + rear) / 1000.0;
+            rate[p][0] = z[1], rate[p][1] = v[11] - v[1] * v[2];
+            rate[p][2] = z[3], rate[p][3] = (1.43 * front - 1.47 * rear) / 3344.0;
+            for (int i = 0; (i < 4) && (p == 0); i++) { ahead[i] = x[i] + s * rate[0][i]; }
+        }
+        for (int i = 0; i < 4; i++) { x[i] += 0.5 * s * (rate[0][i] + rate[1][i]); }
+    }
+    memcpy(v + 7, x, sizeof x);
+    v[12] = x[1] - v[1] * x[2], v[13] = x[3] + v[2];
+"""
+STEERED = {"delta": "steer", "v": "speed", "lane_yaw_rate": "bend"}
+WHOLE = {"e_y": "y", "e_y_rate": "y_rate", "e_psi": "psi", "e_psi_rate": "psi_rate", "a_y": "ay"}
+BEGUN = {"e_y": "x0", "e_y_rate": "x1", "e_psi": "x2", "e_psi_rate": "x3"}
+
+
+@pytest.mark.parametrize(
+    ("version", "outputs", "step", "largest"),
+    [
+        ("2.0", WHOLE, 0.01, 1e-4), ("3.0", WHOLE, 0.0025, 1e-5),
+        # it is linear, and its v_y is taken for that of an exact geometry
+        ("2.0", {"v_y": "vy", "yaw_rate": "r", "a_y": "ay"}, 0.01, 5e-3),
+    ],
+)  # fmt: skip
+def test_a_linear_bicycle_as_an_fmu(
+    version: str, outputs: dict[str, str], step: float, largest: float, tmp_path: Path
+) -> None:
+    path = build(tmp_path / "car.fmu", CAR, f"{BICYCLE} return 0;", version=version)
+    options = PlantOptions(actuator=Actuator(lag=0.1, delay=0.06))
+    model = ldc.FmuVehicle(path, STEERED, outputs, BEGUN, step=step)
+    for law in (ldc.LQR(), ldc.PID()):
+        expected = simulate(law, SCENARIOS, setup=Setup(options=options), y_s=0.1)
+        for _ in range(2):
+            driven = simulate(law, SCENARIOS, setup=Setup(options=options, vehicle_model=model), y_s=0.1)
+            np.testing.assert_allclose(driven.S, expected.S, rtol=0.0, atol=largest)
+            np.testing.assert_array_equal(driven.status, expected.status)
+            added = driven.metrics.a_y_peak - expected.metrics.a_y_peak
+            assert np.nanmax(np.abs(added)) < 0.05
+
+
+def test_a_vehicle_that_fails_or_does_not_fit(tmp_path: Path) -> None:
+    path = build(tmp_path / "car.fmu", CAR, f"{BICYCLE} return 0;")
+    same = ldc.FmuVehicle(path, STEERED, WHOLE, BEGUN)
+    assert ldc.FmuVehicle(shutil.copy(path, tmp_path / "moved.fmu"), STEERED, WHOLE, BEGUN) == same
+    for given, at, value in (
+        ({"inputs": {"speed": "speed"}}, "car.fmu: inputs", "speed"),
+        ({"inputs": {"v": "sped"}}, "car.fmu: inputs.v", "sped"),
+        ({"outputs": {"a_y": "ay", "v_y": "vy"}}, "car.fmu: outputs", ["a_y", "v_y"]),
+        ({"start": {"e_y": "y"}}, "car.fmu: start.e_y", "y"),
+        ({"step": -1.0}, "step", -1.0),
+    ):  # type: ignore[assignment]
+        with refused(at, LdcError, value=value):
+            ldc.FmuVehicle(path, **({"inputs": STEERED, "outputs": WHOLE, "start": BEGUN} | given))  # type: ignore[arg-type]
+    late = build(tmp_path / "late.fmu", CAR, f"{BICYCLE} return t > 0.5 ? 3 : 0;")
+    other = ldc.FmuVehicle(late, STEERED, WHOLE, BEGUN)
+    assert other != same
+    with pytest.raises(LdcError):
+        simulate(ldc.LQR(), SCENARIOS, setup=Setup(vehicle_model=other), y_s=0.1)
