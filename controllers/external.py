@@ -24,7 +24,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.checked_files import write_whole
 from ldctoolkit.control import Controller, EventStatus, Preview, SteeringLaw
-from ldctoolkit.errors import InputError, LdcError, UnknownNameError, first_line
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError, expect, first_line
 from ldctoolkit.surroundings import temporary_folder
 from ldctoolkit.vehicle import Plant
 
@@ -58,10 +58,11 @@ def content_digest(*contents: bytes) -> str:
     return hashlib.sha256(b"".join(hashlib.sha256(content).digest() for content in contents)).hexdigest()
 
 
-def read_file(path: Path) -> bytes:
+def read_file(path: str | Path) -> bytes:
     """The content of a file."""
+    expect("path", path, str | Path)
     try:
-        return path.read_bytes()
+        return Path(path).read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise InputError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
@@ -122,6 +123,8 @@ class ExternalController(Controller):
 def design_of(base: dict[str, Any], path: Path, kind: str, name: str, gains: Iterable[Any] = ()) -> Controller:
     """A design of a new class for one file."""
     name = name or re.sub(r"\W+", "_", path.stem).strip("_")
+    if not isinstance(name, str) or not re.fullmatch(r"\w+", name):
+        raise InputError("name", value=name, allowed="letters, digits and '_'")
     title = f"{name.replace('_', ' ').capitalize()} ({kind})"
     # in no module that can be imported: it is sent by value, and known by what it holds
     names = {"name": name, "title": title, "__doc__": f"{title}.", "__module__": "external_controllers", **base}
@@ -297,6 +300,7 @@ def CLaw(path: str | Path, *, name: str = "") -> Controller:
     ...
     ldctoolkit.errors.InputError: missing/controller.c: cannot be read: No such file or directory
     """
+    expect("path", path, str | Path)
     path, command = Path(path), compiler()
     folder = path if path.is_dir() else path.parent
     files = sorted(file for file in folder.glob("*.c") if file.name != "main.c") if path.is_dir() else [path]

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, SteeringLaw
 from ldctoolkit.declared import Gain, gain
-from ldctoolkit.errors import InputError, LdcError, UnknownNameError, first_line
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError, expect, first_line
 from ldctoolkit.surroundings import temporary_folder
 from ldctoolkit.vehicle import VehicleModel
 
@@ -63,7 +63,7 @@ class _Fmu:
 
     def __init__(self, content: bytes, path: Path) -> None:
         fmpy, allowed = _fmpy(), "an FMU of FMI 2.0 or 3.0 for co-simulation"
-        self.path, self.content, self.instances = path, content, list[_Instance]()
+        self.path, self.content, self.instances, self.works = path, content, list[_Instance](), False
         self._calls: dict[tuple[str, ...], list[tuple[str, list[int], list[int]]]] = {}
         try:
             self.description = fmpy.read_model_description(io.BytesIO(content), validate=False)
@@ -84,7 +84,7 @@ class _Fmu:
 
     def check(self, name: Any, causality: str, types: Collection[str], path: str) -> Any:
         """A variable by its name; raises where it cannot be used."""
-        path, variable = f"{self.path.name}: {path}", self.variables.get(name)
+        path, variable = f"{self.path.name}: {path}", self.variables.get(name) if isinstance(name, str) else None
         if variable is None:
             raise UnknownNameError(path, "is no variable of the FMU", value=name, allowed=self.named(causality))
         if variable.causality != causality:
@@ -232,7 +232,8 @@ class _FmuSteering(ExternalLaw):
                 steps = [x for part in range(self.parts) for x in (sample * self.dt + part * step, step)]
                 answer = instance.advance(values, design.outputs, *steps)
             answers[i, : len(answer)], instance.after = answer, after
-        if n and k == 0 and all(instance.failed for instance in instances):
+        fmu.works |= any(not instance.failed for instance in instances)
+        if n and not fmu.works:
             raise LdcError(fmu.path.name, f"fails in its first step: {instances[0].failed}")
         return answers[:, 0].copy(), np.nan_to_num(answers[:, 1]).astype(np.int64), after
 
@@ -283,7 +284,9 @@ def FmuLaw(
     ...
     ldctoolkit.errors.InputError: missing.fmu: cannot be read: No such file or directory
     """
-    path, content = Path(file).absolute(), read_file(Path(file))
+    expect("inputs", inputs, Mapping | None)
+    content = read_file(file)
+    path = Path(file).absolute()
     held = FileContent(content_digest(content), path)
     fmu = _fmu_of(held, content)
     if inputs is None:
@@ -317,9 +320,9 @@ def _gain(variable: Any, value: float | None) -> tuple[str, type, Any]:
     name = re.sub(r"\W+", "_", variable.name).strip("_")
     name += "_" if keyword.iskeyword(name) or hasattr(ExternalController, name) else ""
     kind = _PYTHON.get(variable.type, int)
-    start: Any = variable.start if value is None else value
-    if isinstance(start, str):
-        start = start in ("true", "1") if kind is bool else kind(float(start))
+    start: Any = value
+    if value is None:
+        start = variable.start in ("true", "1") if kind is bool else kind(float(variable.start or 0.0))
     limits = {"lower": variable.min, "upper": variable.max} if kind is not bool else {}
     ends: dict[str, Any] = {key: float(limit) for key, limit in limits.items() if limit is not None}
     description = variable.description or f"parameter {variable.name}"
@@ -367,11 +370,12 @@ class FmuVehicle(VehicleModel):
     step: float = 0.01
 
     def __post_init__(self, file: str | Path) -> None:
-        content = read_file(Path(file))
+        content = read_file(file)
         held = FileContent(content_digest(content), Path(file).absolute())
         fmu, moment = _fmu_of(held, content), ("delta", "v", "v_rate", "lane_yaw_rate", "curvature")
         known = {"inputs": moment, "start": (*moment, *STATE, "v_y", "yaw_rate"), "outputs": ()}
         for table, causality in (("inputs", "input"), ("outputs", "output"), ("start", "parameter")):
+            expect(table, getattr(self, table), Mapping | tuple)
             pairs = tuple(dict(getattr(self, table)).items())
             for signal, name in pairs:
                 if known[table] and signal not in known[table]:
