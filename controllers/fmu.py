@@ -251,7 +251,6 @@ def FmuLaw(
     output: str = "delta",
     step: float | None = None,
     parameters: Mapping[str, float] | Iterable[str] = (),
-    status: str | None = None,
     name: str = "",
 ) -> Controller:
     """Make a design of a controller that is an FMU of FMI 2.0 or 3.0 for co-simulation.
@@ -264,15 +263,14 @@ def FmuLaw(
     file : path
         The FMU. Its content is a part of the design's identity.
     inputs : mapping, optional
-        Signals and the inputs that are shown them; by default of the names in the interface of ``ldc export``.
+        Signals and the inputs that are shown them. By default inputs, and an output ``status``, have the names and the
+        meaning of the interface of ``ldc export``.
     output : str
         Output that is the command [rad], positive to the left.
     step : float [s], optional
         Communication step, a whole fraction of the sample time, which is the default.
     parameters : mapping or iterable of str
         Parameters that become gains, with values, or with the start values of the FMU.
-    status : str, optional
-        Whole output with the bits of ``status`` in the interface of ``ldc export``.
     name : str
         Name of the law; by default that of the file.
 
@@ -288,27 +286,27 @@ def FmuLaw(
     content = read_file(file)
     path = Path(file).absolute()
     held = FileContent(content_digest(content), path)
-    fmu = _fmu_of(held, content)
+    fmu, outputs = _fmu_of(held, content), [output]
     if inputs is None:
         with zipfile.ZipFile(io.BytesIO(content)) as packed:
             source = f"sources/{HEADER}"
             header = packed.read(source).decode() if source in packed.namelist() else ""
         pairs = [*exported_signals(fmu.named("input"), header, path.name)]
-        status = "status" if status is None and "status" in fmu.named("output") else status
+        outputs += ["status"] * ("status" in fmu.named("output"))
     else:
         pairs = [*inputs.items()]
     for signal, variable in pairs:
         signal_of(signal, f"{path.name}: inputs")
         fmu.check(variable, "input", _NUMBERS, f"inputs.{signal}")
     fmu.check(output, "output", _REALS, "output")
-    if status is not None:
+    for status in outputs[1:]:
         fmu.check(status, "output", _WHOLE, "status")
     if step is not None:
         step = Gain(name="step", default=0.05, unit="s", above=0.0).check(step)
     named = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
     gains = [_gain(fmu.check(key, "parameter", _NUMBERS, "parameters"), value) for key, value in named.items()]
     base = {
-        "law": _FmuSteering, "file": held, "inputs": tuple(pairs), "outputs": (output, *([status] if status else [])),
+        "law": _FmuSteering, "file": held, "inputs": tuple(pairs), "outputs": tuple(outputs),
         "settings": tuple(named), "communication_step": step,
         "batch": 1 if fmu.kind.canBeInstantiatedOnlyOncePerProcess else ExternalController.batch,
     }  # fmt: skip
@@ -440,6 +438,8 @@ class FmuVehicle(VehicleModel):
         for k, row in enumerate(rows.tolist()):
             now = {name: float(values[k]) for name, values in shown.items()}
             answers[k] = instances[row].advance(now, names, time[row], float(h[k]))
+            if reason := instances[row].failed:
+                raise LdcError(instances[row].fmu.path.name, f"fails {time[row]:.3g} s after a takeover: {reason}")
         time[rows] += h
         after = dict(zip((name for name, _ in self.outputs), answers.T, strict=True))
         return after if {*STATE} <= {*after} else self.error_state(x, road, h, after["v_y"], after["yaw_rate"]) | after
