@@ -19,16 +19,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from ldctoolkit.errors import InputError, LdcError, UnknownNameError
-from ldctoolkit.law_checks import raised
+from ldctoolkit.casadi_code import Names, called, checked_expression
+from ldctoolkit.errors import InputError, UnknownNameError
 
-from ._prediction_model import PREVIOUS, STATES, VEHICLE, Layout, Names, Vehicle, base_layout
+from ._prediction_model import PREVIOUS, STATES, VEHICLE, Layout, Vehicle, base_layout
 
 LANE: Final = 4  # numbers of a sample before its reference states: yaw rate at both ends, index, steady angle
 
@@ -110,30 +109,6 @@ class Formulation:
     def samples(self) -> int:
         """Numbers of a sample's column."""
         return LANE + 2 * self.size
-
-
-_SYMBOLS: Final = (
-    "gains, states and lane are symbols of ca.SX: ca.if_else and ca.sqrt take them; if, math and MX do not"
-)
-
-
-def called(path: str, function: Callable[..., Any], *arguments: Any, hint: str = _SYMBOLS) -> Any:
-    """What a designer's method returns; what it raises, because it met symbols or not, is one sentence."""
-    try:
-        return function(*arguments)
-    except LdcError:
-        raise
-    except Exception as error:
-        design: Any = getattr(function, "__self__", None)
-        if isinstance(error, AttributeError) and design is not None and id(error.obj) == id(design):
-            names = [field.name for field in dataclasses.fields(design)]
-            raise UnknownNameError(f"{design.name}.{error.name}", "no such gain", allowed=names) from error
-        error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # from the designer's line on
-        if error.__traceback__ is None and design is not None:  # it takes other arguments than those of its base
-            name = path.rpartition(".")[2]
-            documented = next(vars(base)[name] for base in reversed(type(design).__mro__) if name in vars(base))
-            hint = f"its arguments are {', '.join(inspect.signature(documented).parameters)}"
-        raise InputError(path, raised(error), hint=hint) from error
 
 
 @functools.lru_cache(maxsize=32)
@@ -270,23 +245,13 @@ class _Builder:
 
     def _expression(self, path: str, value: Any, *, given: bool = False, absent: Any = None) -> Any:
         """The value, or what stands for None, as a CasADi scalar of known symbols; `given`: of lane, k and gains."""
-        ca = self.ca
         allowed = "a number or a CasADi scalar of " + ("lane, k and gains" if given else "x, u, lane, k and gains")
-        try:
-            expression = ca.SX(absent if value is None else value)
-        except (TypeError, NotImplementedError, ValueError) as error:
-            raise InputError(path, f"of type {type(value).__name__}", allowed=allowed) from error
-        if expression.shape != (1, 1):
-            raise InputError(path, f"of shape {expression.shape}", allowed=allowed)
-        known = {hash(symbol) for symbol in ca.symvar(self.given if given else ca.vertcat(self.moving, self.given))}
-        if free := [symbol.name() for symbol in ca.symvar(expression) if hash(symbol) not in known]:
-            raise InputError(path, f"holds the symbol {free[0]!r}", allowed=allowed)
-        steps = ca.Function("steps", ca.symvar(expression), [expression])
-        constants = (k for k in range(steps.n_instructions()) if steps.instruction_id(k) == ca.OP_CONST)
-        if any(np.isnan(steps.instruction_constant(k)) for k in constants):
-            hint = "float() and functions of math make that of a symbol: use those of casadi"
-            raise InputError(path, "holds NaN", hint=hint)
-        return ca.densify(expression)
+        return checked_expression(
+            path,
+            absent if value is None else value,
+            self.given if given else self.ca.vertcat(self.moving, self.given),
+            allowed,
+        )
 
     def _dynamics(self) -> Any:
         """dx/dt, and the lateral acceleration beyond the lane's."""

@@ -16,14 +16,15 @@ from typing import Any, ClassVar, Final, NamedTuple, final
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.casadi_code import Names, called
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import gain, option
 from ldctoolkit.errors import InputError, UnknownNameError
 from ldctoolkit.vehicle.bicycle import Plant
 
-from ._nmpc_model import LANE, Formulation, called
+from ._nmpc_model import LANE, Formulation
 from ._nmpc_solver import Solution, Workspace
-from ._prediction_model import VEHICLE, Names
+from ._prediction_model import VEHICLE
 from .nonlinear_mpc import NonlinearMPC
 from .predictive import PlanningLaw, PredictiveState
 from .riccati import regulator

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.casadi_code import called
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.errors import InputError, LdcError, plain
@@ -28,7 +29,7 @@ from ldctoolkit.vehicle.speed_schedule import scheduled
 
 from ._affine_plans import AffinePlans, affine_plans
 from ._mpc_condensing import WINDOW, block_starts, jerk_window, lane, lookahead
-from ._nmpc_model import LANE, Formulation, Structure, called, formulation
+from ._nmpc_model import LANE, Formulation, Structure, formulation
 from ._nmpc_solver import SoftLimits, Solution, Workspace, reachable, workspace
 from ._prediction_model import STATES, base_columns, forced, steady_cornering
 from .riccati import linear_models, stabilising

@@ -78,6 +78,8 @@ class Preview:
     heading: FloatArray
     # (n,) [rad] Steering angle of the wheels at the moment of the state that is seen; None where it is not measured
     wheel: FloatArray | None = None
+    # (n, 2) e_y [m] and e_psi [rad] of the camera's frame that a Kalman filter took in at this sample; NaN without one
+    frame: FloatArray | None = None
 
 
 @final

@@ -10,8 +10,7 @@ import dataclasses
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
@@ -23,13 +22,13 @@ from ldctoolkit.control import (
     EventStatus,
     Law,
     LinearLaw,
+    LinearSteps,
     Preview,
     RecordedPath,
     SolverCalls,
     SolverLog,
     SteeringLaw,
 )
-from ldctoolkit.declared import checked_whole
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, expect
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
@@ -39,8 +38,8 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, TTLC, InitialYawRate, PlantKnowledge, Setup, Start, Trigger
 from ldctoolkit.simulation.kernel import data
+from ldctoolkit.simulation.stretches import SCENARIOS_A_TASK, in_threads, stretches
 from ldctoolkit.simulation.takeover import Takeover, law_tables, shape_of
-from ldctoolkit.surroundings import usable_cores
 from ldctoolkit.vehicle import BicycleModel, VehicleParameters
 
 if TYPE_CHECKING:
@@ -304,7 +303,6 @@ class Run:
 
 PathChoice = bool | npt.ArrayLike
 
-_SCENARIOS_A_TASK: Final = 1024  # Scenarios that a thread takes at a time
 _MOST_SCORES: Final = 2**21  # Scores of linear laws that one call of the compiled loop holds
 _DROP_BELOW: Final = 0.9  # Share of a batch that still runs, below which the others are dropped from it
 
@@ -469,7 +467,10 @@ def drive_many(
 
 def _checked_law(controller: Controller, takeover: Takeover) -> Law:
     check_controller(controller)
-    return check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
+    law = check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
+    if isinstance(law, LinearLaw) and takeover.setup.vehicle_model is not None:  # sample by sample, as any other
+        return dataclasses.replace(LinearSteps.of(law, takeover.plant), measured=True)
+    return law
 
 
 def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None) -> list[Run]:
@@ -494,7 +495,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
             out = score, diverged, failed
             entry.drive_any(scene, setting, table, times, bend, paths, path_row, blocks[first:last], *out)
 
-        _in_threads(work, blocks.size, threads, _SCENARIOS_A_TASK // 4 // data.LANES)
+        in_threads(work, blocks.size, threads, SCENARIOS_A_TASK // 4 // data.LANES)
 
     if not exactly:
         drive_any(np.arange(m), score, diverged, failed)
@@ -509,7 +510,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
             inputs = scene, exact, setting, table, times, bend, paths, exact_path_row
             entry.drive_lanes(*inputs, first, last, *out)
 
-        _in_threads(work, -(-m // data.LANES), threads, _SCENARIOS_A_TASK // data.LANES)
+        in_threads(work, -(-m // data.LANES), threads, SCENARIOS_A_TASK // data.LANES)
         if stiff.size:
             stiff_score, stiff_diverged, stiff_failed = np.empty_like(score), diverged.copy(), failed.copy()
             drive_any(stiff, stiff_score, stiff_diverged, stiff_failed)
@@ -526,17 +527,15 @@ def _drive_general(
     law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None, *, plans: bool = False
 ) -> Run:
     """Drive a law, solved for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
-    m, stiff = takeover.m, takeover.stiff
+    m = takeover.m
     paths, path_row, triggered = takeover.empty_paths(rows)
-    plants = [_Stretch(takeover, slice(0, stiff), np.zeros((3, 0, data.EXACT)), paths, path_row, threads)]
-    if stiff < m:
-        exact = np.ascontiguousarray(takeover.exact[:, stiff:])
-        plants.append(_Stretch(takeover, slice(stiff, m), exact, paths, path_row, threads))
+    plants = stretches(takeover, paths, path_row, threads)
     times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
     last, failed = takeover.delta_0.copy(), np.zeros(m, dtype=np.int64)
     beyond, alive = np.zeros(m, dtype=np.bool_), np.ones(m, dtype=np.bool_)
     batch: IntArray | slice = slice(None)  # The scenarios that the law still holds
     active = np.arange(m)  # Rows of the batch that go on
+    filtered = takeover.setup.options.sensors.kalman is not None
     state = law.init(m)
     step_seconds: list[float] = []
     sample = 0
@@ -548,7 +547,8 @@ def _drive_general(
             plant.look(sample, times, *shown)
         x, yaw_rate, heading, wheel = (values[batch] for values in shown)
         t, previous = takeover.start[batch] + sample * takeover.setup.dt, np.where(alive, last, 0.0)[batch]
-        preview = Preview(yaw_rate, heading, wheel)
+        frame = np.concatenate([plant.new_frame(sample) for plant in plants])[batch] if filtered else None
+        preview = Preview(yaw_rate, heading, wheel, frame)
         started = time.perf_counter()
         result = law.step(t, x, preview, previous.copy(), state)
         step_seconds.append(time.perf_counter() - started)
@@ -584,53 +584,6 @@ def _drive_general(
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls), planned=planned)
 
 
-class _Stretch:
-    """A range of the triggered scenarios in the compiled loops, sample by sample, in threads."""
-
-    def __init__(
-        self,
-        takeover: Takeover,
-        rows: slice,
-        exact: FloatArray,
-        paths: FloatArray,
-        path_row: IntArray,
-        threads: int | None,
-    ) -> None:
-        from ldctoolkit.simulation.kernel import block_table, entry
-
-        self.entry, self.setting, self.exact, self.paths = entry, takeover.setting, exact, paths
-        self.rows, self.recorded, self.threads = rows, takeover.recorded_bend[rows], threads
-        self.blocks = np.arange(-(-(rows.stop - rows.start) // data.LANES))
-        self.state = np.zeros((self.blocks.size, block_table.rings(self.setting)[-1]))
-        entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
-
-    def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
-        """What the law sees: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle (m,)."""
-        self.entry.look(self.setting, self.state, k, self.blocks, times, *(values[self.rows] for values in shown))
-
-    def go_on(self, k: int, command: FloatArray, alive: BoolArray) -> None:
-        """Drive to the next sample with the commands (m,); whether each scenario goes on into `alive` (m,)."""
-        commands = command[self.rows]
-
-        def work(first: int, last: int) -> None:
-            blocks = self.blocks[first:last]
-            self.entry.go_on(self.exact, self.setting, self.state, self.recorded, self.paths, k, blocks, commands)
-
-        # an exact step takes less time than to start a thread
-        _in_threads(work, self.blocks.size, 1 if self.exact.size else self.threads, _SCENARIOS_A_TASK // data.LANES)
-        going = self.state[:, data.ALIVE : data.ALIVE + data.LANES] > 0.0
-        self.blocks = np.flatnonzero(going.any(axis=1))
-        alive[self.rows] = going.ravel()[: commands.size]
-
-    def scores(self) -> tuple[FloatArray, BoolArray]:
-        """Scores (columns, rows), and which scenarios diverged (rows,)."""
-        first, last = data.SCORE, data.SCORE + data.SCORES * data.LANES
-        count, shape = self.rows.stop - self.rows.start, (-1, data.SCORES, data.LANES)
-        score = self.state[:, first:last].reshape(shape).swapaxes(0, 1).reshape(data.SCORES, -1)
-        diverged = self.state[:, data.DIVERGED : data.DIVERGED + data.LANES].ravel() > 0.0
-        return score[:, :count], diverged[:count]
-
-
 # ------------------------------------------------------------------------------------------------ paths, threads, runs
 
 
@@ -649,17 +602,6 @@ def path_rows(trajectories: PathChoice, n: int, name: str = "trajectories") -> I
     if np.unique(rows).size != rows.size:
         raise InputError(name, "a row number is given twice", allowed="each once")
     return rows.astype(np.int64)
-
-
-def _in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
-    """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
-    firsts = range(0, count, least)
-    number = min(usable_cores() if threads is None else checked_whole("threads", threads, lower=1), len(firsts))
-    if number <= 1:
-        work(0, count)
-        return
-    with ThreadPoolExecutor(number) as pool:
-        list(pool.map(lambda first: work(first, min(first + least, count)), firsts))
 
 
 def recorded_run(takeover: Takeover) -> Run:

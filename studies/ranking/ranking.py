@@ -17,6 +17,7 @@ from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StudyError, expect
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS, scenario_metric
+from ldctoolkit.vehicle import VehicleModel
 
 from ..design import Design
 from ..requirements import SETS, criterion, metric, missed_by, requirements_of
@@ -183,7 +184,7 @@ class Ranking(RankedDesigns, Frame):
         pareto: Sequence[str] = (),
         rank_by: str = "S",
         setup: Setup | None = None,
-        vehicles: Sequence[str] = (),
+        vehicles: Sequence[str | VehicleModel] = (),
         standards: Sequence[str] = (),
     ) -> Ranking:
         """Rank the designs of a study.

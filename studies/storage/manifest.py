@@ -21,6 +21,8 @@ from ldctoolkit.registry import with_content
 from ldctoolkit.version import DECISIVE, versions
 
 from ..design import Design
+from ..design_space import load_laws
+from ..standards import VEHICLES
 from ..study_file import Study
 from .checked_parts import difference_texts
 from .folder_files import read_bytes, read_parquet, write_json, write_parquet
@@ -216,6 +218,12 @@ class Manifest(BaseModel):
         content = study.content()
         for key in ("model", "departures", "table"):
             content["scenarios"][key] = PurePath(content["scenarios"][key]).name
+        place = study.folder  # where files of vehicle models are, from the working directory
+        if ".py:" in study.vehicle_model:
+            content["vehicle"]["model"] = (place / study.vehicle_model).as_posix()
+        content["ranking"]["vehicles"] = [
+            (place / name).as_posix() if ".py:" in name else name for name in study.ranking.vehicles
+        ]
         return cls(
             study=content,
             study_hash=study.hash,
@@ -269,18 +277,28 @@ class Manifest(BaseModel):
         numbers can be read, but nothing can be driven again.
         """
         if not current:
-            return Study.from_dict(self.study, source="study")
+            return Study.from_dict(self._without_models(), source="study")
         if others := self.other_versions():
             raise StoreError("versions", f"the study was run with {others}", hint=_AGAIN)
+        load_laws(self.study, Path(), {})
         classes: dict[str, Any] = {name: with_content(name, content) for name, content in self.laws.items()}
         changed = [name for name, kind in classes.items() if kind is None]
         if not changed:
             study = Study.from_dict(self.study, source="study", classes=classes)
             # a law inside another is the present one of its name
             changed = [name for name, content in study.laws().items() if self.laws.get(name) != content]
+            if study.content()["vehicle"].get("model_code") != self.study["vehicle"].get("model_code"):
+                what = f"vehicle model {study.vehicle_model!r}"
+                raise StoreError(what, "its code has changed since the study was run", hint=_AGAIN)
         if changed:
             raise StoreError(f"law {changed[0]!r}", "its code has changed since the study was run", hint=_AGAIN)
         return study
+
+    def _without_models(self) -> dict[str, Any]:
+        """The study without vehicle models, to read its numbers alone."""
+        vehicle = {key: value for key, value in self.study["vehicle"].items() if key not in ("model", "model_code")}
+        names = [name for name in self.study["ranking"]["vehicles"] if name in VEHICLES]
+        return self.study | {"vehicle": vehicle, "ranking": self.study["ranking"] | {"vehicles": names}}
 
 
 def _now() -> str:

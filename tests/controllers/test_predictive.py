@@ -19,7 +19,7 @@ import pytest
 import scipy.integrate
 
 import ldctoolkit as ldc
-import ldctoolkit.controllers._nmpc_solver as solver_module
+import ldctoolkit.casadi_code as casadi_code
 from helpers.closed_loop import DT, assert_same_rows, known, make_scenarios, mpc_situations
 from helpers.errors import refused
 from helpers.kills import killing
@@ -38,7 +38,7 @@ HORIZON = 8
 @pytest.fixture(autouse=True)
 def _nothing_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     """A compiler takes longer than these tests; `test_nonlinear_mpc` has both ways give the same."""
-    monkeypatch.setenv(solver_module.CODE, "vm")
+    monkeypatch.setenv(casadi_code.CODE, "vm")
 
 
 def horizon_gain() -> Any:
@@ -279,16 +279,16 @@ def test_a_sweep_of_numbers_compiles_nothing_anew(monkeypatch: pytest.MonkeyPatc
             stage, factor = super().stage(x, u, lane, k), 1.0 + self.deep + 2.0 * (self.kind == "steep")
             return dataclasses.replace(stage, cost=factor * stage.cost)
 
-    monkeypatch.setenv(solver_module.CODE, "auto")
-    monkeypatch.setenv(solver_module.CACHE, str(tmp_path))
+    monkeypatch.setenv(casadi_code.CODE, "auto")
+    monkeypatch.setenv(casadi_code.CACHE, str(tmp_path))
     compiled: list[str] = []
 
     def compile_nothing(compiler: str, text: str, target: Path) -> None:
         compiled.append(text)
         raise OSError
 
-    monkeypatch.setattr(solver_module.shutil, "which", lambda name: f"/bin/{name}")
-    monkeypatch.setattr(solver_module, "_compile", compile_nothing)
+    monkeypatch.setattr(casadi_code.shutil, "which", lambda name: f"/bin/{name}")
+    monkeypatch.setattr(casadi_code, "_compile", compile_nothing)
     plant = plant_of(3)
 
     def compilations(**gains: Any) -> int:
@@ -328,8 +328,8 @@ def test_an_edited_class_is_seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 def test_where_nothing_compiles_it_is_said_once(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setenv(solver_module.CODE, "auto")
-    monkeypatch.setattr(solver_module.shutil, "which", lambda _: None)
+    monkeypatch.setenv(casadi_code.CODE, "auto")
+    monkeypatch.setattr(casadi_code.shutil, "which", lambda _: None)
     compiling.line.cache_clear()
     plant = plant_of(3)
     for horizon in (3, 4):

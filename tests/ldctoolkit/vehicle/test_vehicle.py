@@ -20,7 +20,8 @@ from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 from helpers.closed_loop import grid
 from helpers.errors import refused
 from ldctoolkit import BicycleModel, VehicleParameters
-from ldctoolkit.controllers._prediction_model import STATES, Names, Vehicle
+from ldctoolkit.casadi_code import Names
+from ldctoolkit.controllers._prediction_model import STATES, Vehicle
 from ldctoolkit.declared import UnitWarning
 from ldctoolkit.errors import LdcError
 from ldctoolkit.vehicle import discretize
