@@ -431,7 +431,7 @@ def drive_many(
     takeover, threads
         As in `drive`.
     paths : bool
-        Keep the paths of all scenarios that triggered, in the takeover's order; one design at a time is driven then.
+        Keep the paths of all scenarios that triggered, in the takeover's order, until the next design is driven.
 
     Yields
     ------
@@ -478,7 +478,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
     setting[data.COMMAND_RING] = max(setting[data.COMMAND_RING], past + 2)
     score = np.full((d, data.SCORES, m), np.nan)  # a scenario that is left out stays visible
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
-    paths, path_row, triggered = takeover.empty_paths(rows)
+    paths, path_row, triggered = takeover.empty_paths(rows, reused=rows is takeover.rows)
 
     def drive_any(rows: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
         """The blocks of these rows, by the method of Runge and Kutta."""
@@ -521,7 +521,7 @@ def _drive_general(
 ) -> Run:
     """Drive a law, solved for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
     m, stiff = takeover.m, takeover.stiff
-    paths, path_row, triggered = takeover.empty_paths(rows)
+    paths, path_row, triggered = takeover.empty_paths(rows, reused=rows is takeover.rows)
     plants = [_Stretch(takeover, slice(0, stiff), np.zeros((3, 0, data.EXACT)), paths, path_row, threads)]
     if stiff < m:
         exact = np.ascontiguousarray(takeover.exact[:, stiff:])

@@ -189,11 +189,12 @@ class Takeover:
         states = (step.A[:, :, 1:].reshape(-1, 12) for step in steps)
         return np.stack([np.column_stack([A, *columns]) for A, columns in zip(states, inputs, strict=True)])
 
-    def scratch(self, size: int) -> FloatArray:
+    def scratch(self, size: int, use: str = "laws") -> FloatArray:
         """At least `size` numbers that one thread may use again and again: fresh memory costs more than filling it."""
-        if not hasattr(self.spare, "array") or self.spare.array.size < size:
-            self.spare.array = np.empty(size)
-        array: FloatArray = self.spare.array
+        array: FloatArray | None = getattr(self.spare, use, None)
+        if array is None or array.size < size:
+            array = np.empty(size)
+            setattr(self.spare, use, array)
         return array
 
     @functools.cached_property
@@ -212,9 +213,9 @@ class Takeover:
             return self.m
         return int((_substeps(self.setup, self.plant.v) > data.STIFF).sum())
 
-    def empty_paths(self, rows: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
+    def empty_paths(self, rows: IntArray | None, *, reused: bool = False) -> tuple[FloatArray, IntArray, IntArray]:
         """An array for the paths of chosen scenarios (c, entries, columns), its row of each driven scenario (m,) or -1,
-        and the positions in `rows` of those that triggered.
+        and the positions in `rows` of those that triggered. The array may be `reused`, for the next design.
         """
         path_row = np.full(self.m, -1, dtype=np.int64)
         if rows is None:
@@ -225,7 +226,12 @@ class Takeover:
         with_path = driven_row[rows[triggered]]
         path_row[with_path] = np.arange(with_path.size)
         longest = int(self.scene[with_path, data.STEPS].max(initial=0)) + 2
-        return np.full((with_path.size, longest, data.PATH), np.nan), path_row, triggered
+        shape = with_path.size, longest, data.PATH
+        paths = (
+            self.scratch(math.prod(shape), "paths")[: math.prod(shape)].reshape(shape) if reused else np.empty(shape)
+        )
+        paths.fill(np.nan)
+        return paths, path_row, triggered
 
     @property
     def steps(self) -> IntArray:
