@@ -25,6 +25,8 @@ from ldctoolkit.vehicle import Convention, Plant, SteadyState, VehicleParameters
 from ldctoolkit.vehicle.bicycle import GRAVITY, checked_speeds, error_dynamics_matrices, steady_cornering
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, filter_columns
 
+KeptPaths = tuple[FloatArray, IntArray, IntArray]  # paths of chosen rows, these, and which of them triggered
+
 
 @dataclasses.dataclass(frozen=True)
 class TrueVehicles:
@@ -213,13 +215,15 @@ class Takeover:
             return self.m
         return int((_substeps(self.setup, self.plant.v) > data.STIFF).sum())
 
-    def empty_paths(self, rows: IntArray | None, *, reused: bool = False) -> tuple[FloatArray, IntArray, IntArray]:
+    def empty_paths(
+        self, rows: IntArray | None, *, reused: bool = False
+    ) -> tuple[FloatArray, IntArray, KeptPaths | None]:
         """An array for the paths of chosen scenarios (c, entries, columns), its row of each driven scenario (m,) or -1,
-        and the positions in `rows` of those that triggered. The array may be `reused`, for the next design.
+        and the array with `rows` and the positions in these that triggered. It may be `reused` for the next design.
         """
         path_row = np.full(self.m, -1, dtype=np.int64)
         if rows is None:
-            return np.zeros((0, 0, data.PATH)), path_row, path_row[:0]
+            return np.zeros((0, 0, data.PATH)), path_row, None
         driven_row = np.full(self.scenarios.n, -1, dtype=np.int64)
         driven_row[self.rows] = np.arange(self.m)
         triggered = np.flatnonzero(driven_row[rows] >= 0)
@@ -231,7 +235,7 @@ class Takeover:
             self.scratch(math.prod(shape), "paths")[: math.prod(shape)].reshape(shape) if reused else np.empty(shape)
         )
         paths.fill(np.nan)
-        return paths, path_row, triggered
+        return paths, path_row, (paths, rows, triggered)
 
     @property
     def steps(self) -> IntArray:

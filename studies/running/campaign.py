@@ -2,19 +2,17 @@
 
 import dataclasses
 import hashlib
-import sys
 import time
 from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Final
 
-import cloudpickle
 import numpy as np
 
 import ldctoolkit.registry as registry
 from ldctoolkit.arrays import IntArray
-from ldctoolkit.code_content import content_of, modules_of
+from ldctoolkit.code_content import content_of, modules_of, pickled
 from ldctoolkit.control import Controller, EventStatus
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import UserMetric
@@ -300,11 +298,11 @@ def laws_to_send(kinds: Iterable[type[Controller]]) -> bytes:
     if not every:
         return b""
     try:
-        return _pickled(registry.keyed(every), {name for kind in every for name in modules_of(kind)})
+        return pickled(registry.keyed(every), {name for kind in every for name in modules_of(kind)})
     except Exception:  # a class may hold anything
         every = [kind for kind in every if kind in registered]
     try:
-        return _pickled(registry.keyed(every), {kind.__module__ for kind in every}) if every else b""
+        return pickled(registry.keyed(every), {kind.__module__ for kind in every}) if every else b""
     except Exception as error:
         names = ", ".join(kind.__name__ for kind in every)
         problem = f"registered controllers ({names}) cannot be sent to worker processes ({error})"
@@ -314,21 +312,8 @@ def laws_to_send(kinds: Iterable[type[Controller]]) -> bytes:
 def metrics_to_send(metrics: Sequence[UserMetric]) -> bytes:
     """Designers' metrics by value, as laws are sent."""
     try:
-        return _pickled(tuple(metrics), {name for metric in metrics for name in modules_of(metric.function)})
+        return pickled(tuple(metrics), {name for metric in metrics for name in modules_of(metric.function)})
     except Exception as error:
         names = ", ".join(metric.name for metric in metrics)
         problem = f"metrics ({names}) cannot be sent to worker processes ({error})"
         raise LdcError(problem=problem, hint="use one worker") from None
-
-
-def _pickled(content: object, modules: Iterable[str]) -> bytes:
-    """An object with its classes of some modules by value."""
-    known = {*cloudpickle.list_registry_pickle_by_value()}
-    by_value = [sys.modules[name] for name in sorted(modules) if name in sys.modules and name not in known]
-    for module in by_value:
-        cloudpickle.register_pickle_by_value(module)
-    try:
-        return bytes(cloudpickle.dumps(content))
-    finally:
-        for module in by_value:
-            cloudpickle.unregister_pickle_by_value(module)
