@@ -231,9 +231,11 @@ class Metric:
         return f"{self.title} [{self.shown_unit}]" if self.shown_unit else self.title
 
 
-def _of(name: str, *aggregates: str, title: str = "", alias: str = "") -> Iterator[Metric]:
+def _of(
+    name: str, *aggregates: str, title: str = "", alias: str = "", row: ScenarioMetric | None = None
+) -> Iterator[Metric]:
     """The rows of a design's table that are aggregates of a scenario's metric."""
-    row = scenario_metric(name)
+    row = row or SCENARIO_METRICS[name]
     for aggregate in aggregates:
         full, end = f"{name}_{aggregate}", _AGGREGATES.get(aggregate, f"{aggregate[1:]} % quantile")
         aliases = tuple(text for text in (alias, row.short and f"{row.short}_{aggregate}") if text)
@@ -353,8 +355,8 @@ class UserMetric(ScenarioMetric):
     @property
     def rows(self) -> dict[str, Metric]:
         """The metrics of a design that are its aggregates, by their names; the mean has the metric's own name too."""
-        mean, others = _of(self.name, "mean", alias=self.name), _of(self.name, *USER_AGGREGATES[1:])
-        return {row.name: row for row in (*mean, *others)}
+        mean = _of(self.name, "mean", alias=self.name, row=self)
+        return {row.name: row for row in (*mean, *_of(self.name, *USER_AGGREGATES[1:], row=self))}
 
 
 _functions: dict[tuple[str, str], Callable[[Any], Any]] = {}  # of designers' metrics by name and content

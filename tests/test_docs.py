@@ -79,13 +79,15 @@ def test_a_page_runs_as_a_user_pastes_it(page: str, tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize("page", ["README.md", *PAGES])
-def test_commands_and_study_files_of_a_page_are_read(page: str) -> None:
+def test_commands_and_study_files_of_a_page_are_read(page: str, tmp_path: Path) -> None:
     for text in blocks(page, "toml"):
         table = tomllib.loads(text)
+        if "metrics" in table:
+            (tmp_path / "my_metrics.py").write_text(blocks(page, "python")[0], encoding="utf-8")
         if "wheelbase" in table:
             ldctoolkit.VehicleParameters.from_data_sheet(**table)
         elif "project" not in table and "offset" not in text:  # a package, and a study with the guide's own law
-            Study.from_dict({"name": "page", "design": [{"law": "none"}]} | table)
+            Study.from_dict({"name": "page", "design": [{"law": "none"}]} | table, folder=tmp_path)
     for line in commands(page):
         words = shlex.split(line.partition(" > ")[0], comments=True)
         parser().parse_args(words[1:])

@@ -39,7 +39,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, TTLC, InitialYawRate, PlantKnowledge, Setup, Start, Trigger
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.stretches import SCENARIOS_A_TASK, in_threads, stretches
-from ldctoolkit.simulation.takeover import Takeover, law_tables, shape_of
+from ldctoolkit.simulation.takeover import KeptPaths, Takeover, law_tables, shape_of
 from ldctoolkit.vehicle import BicycleModel, VehicleParameters
 
 if TYPE_CHECKING:
@@ -241,15 +241,15 @@ class Run:
     metrics: MetricValues
     step_seconds: FloatArray  # (k,) [s] Wall time of each call of the law's step; empty for a linear law
     # On request: paths (c, entries, PATH) as the compiled loops write them, of which rows, and which of these triggered
-    paths: tuple[FloatArray, IntArray, IntArray] | None = None
+    paths: KeptPaths | None = None
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
     # On request, for each sample: row numbers of the scenarios that go on, and their plans as of `SteeringLaw.plan`
     planned: Sequence[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = ()
 
     @property
     def trajectories(self) -> Trajectories | None:
-        """The paths in the scenarios' own order."""
-        return None if self.paths is None else _trajectories(self.takeover, *self.paths)
+        """The paths in the order of their rows."""
+        return self.paths and _trajectories(self.takeover, *self.paths)
 
     @property
     def law_seconds(self) -> float:
@@ -435,15 +435,14 @@ def drive_many(
     takeover, threads
         As in `drive`.
     paths : bool
-        Keep the paths of all scenarios that triggered, in the takeover's order; one design at a time is driven then.
+        Keep the paths of all that triggered, in the takeover's order, until the next design is driven.
 
     Yields
     ------
     Run
         In the order of the designs; the same bits, and the same errors, as from `drive`.
     """
-    rows = takeover.rows if paths else None
-    most = 1 if paths else max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES))
+    rows, most = (takeover.rows, 1) if paths else (None, max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES)))
     waiting: list[LinearLaw] = []
     for controller in controllers:
         law = _checked_law(controller, takeover)
@@ -485,7 +484,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
     setting[data.COMMAND_RING] = max(setting[data.COMMAND_RING], past + 2)
     score = np.full((d, data.SCORES, m), np.nan)  # a scenario that is left out stays visible
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
-    paths, path_row, triggered = takeover.empty_paths(rows)
+    paths, path_row, kept = takeover.empty_paths(rows, reused=rows is takeover.rows)
 
     def drive_any(rows: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
         """The blocks of these rows, by the method of Runge and Kutta."""
@@ -516,7 +515,6 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
             drive_any(stiff, stiff_score, stiff_diverged, stiff_failed)
             score[:, :, stiff], diverged[:, stiff] = stiff_score[:, :, stiff], stiff_diverged[:, stiff]
             failed[:, stiff] = stiff_failed[:, stiff]
-    kept = None if rows is None else (paths, rows, triggered)
     return [_run_of_scores(takeover, score[i], diverged[i], failed[i], np.zeros(0), kept) for i in range(d)]
 
 
@@ -528,7 +526,7 @@ def _drive_general(
 ) -> Run:
     """Drive a law, solved for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
     m = takeover.m
-    paths, path_row, triggered = takeover.empty_paths(rows)
+    paths, path_row, kept = takeover.empty_paths(rows, reused=rows is takeover.rows)
     plants = stretches(takeover, paths, path_row, threads)
     times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
     last, failed = takeover.delta_0.copy(), np.zeros(m, dtype=np.int64)
@@ -578,7 +576,6 @@ def _drive_general(
                 batch, active = np.arange(m)[batch][active], np.arange(active.size)
     results = [plant.scores() for plant in plants]
     score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
-    kept = None if rows is None else (paths, rows, triggered)
     run = _run_of_scores(takeover, score, diverged, failed, np.array(step_seconds), kept)
     status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls), planned=planned)
@@ -618,7 +615,7 @@ def _run_of_scores(
     diverged: BoolArray,
     failed: IntArray,
     step_seconds: FloatArray,
-    paths: tuple[FloatArray, IntArray, IntArray] | None,
+    paths: KeptPaths | None,
 ) -> Run:
     """A run from scores (SCORES, m), which scenarios diverged (m,), and failed commands (m,)."""
     status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)

@@ -35,6 +35,15 @@ class Paths(Rows):
 
     NaN after the end of a departure, and after the last sample inside the bound where it diverged: a comparison is
     False there, and `numpy.nanmax` and the like leave it out. No array can be written into.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> @ldc.metric(unit="s")
+    ... def time_outside(paths: ldc.Paths):
+    ...     return paths.dt * (paths.distance < -0.2).sum(axis=1)
+    >>> time_outside.rows["time_outside_p95"].column
+    'time_outside_p95_s'
     """
 
     t: FloatArray  # (n, k) [s] Time since the departure's start

@@ -26,6 +26,8 @@ from ldctoolkit.vehicle.bicycle import GRAVITY, checked_speeds, error_dynamics_m
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, filter_columns
 from ldctoolkit.vehicle.vehicle_model import RecordedTurn, VehicleModel, equations
 
+KeptPaths = tuple[FloatArray, IntArray, IntArray]  # paths of chosen rows, these, and which of them triggered
+
 
 @dataclasses.dataclass(frozen=True)
 class TrueVehicles:
@@ -191,11 +193,12 @@ class Takeover:
         states = (step.A[:, :, 1:].reshape(-1, 12) for step in steps)
         return np.stack([np.column_stack([A, *columns]) for A, columns in zip(states, inputs, strict=True)])
 
-    def scratch(self, size: int) -> FloatArray:
+    def scratch(self, size: int, use: str = "laws") -> FloatArray:
         """At least `size` numbers that one thread may use again and again: fresh memory costs more than filling it."""
-        if not hasattr(self.spare, "array") or self.spare.array.size < size:
-            self.spare.array = np.empty(size)
-        array: FloatArray = self.spare.array
+        array: FloatArray | None = getattr(self.spare, use, None)
+        if array is None or array.size < size:
+            array = np.empty(size)
+            setattr(self.spare, use, array)
         return array
 
     @functools.cached_property
@@ -215,20 +218,27 @@ class Takeover:
             return self.m
         return int((_substeps(self.setup, self.plant.v) > data.STIFF).sum())
 
-    def empty_paths(self, rows: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
+    def empty_paths(
+        self, rows: IntArray | None, *, reused: bool = False
+    ) -> tuple[FloatArray, IntArray, KeptPaths | None]:
         """An array for the paths of chosen scenarios (c, entries, columns), its row of each driven scenario (m,) or -1,
-        and the positions in `rows` of those that triggered.
+        and the array with `rows` and the positions in these that triggered. It may be `reused` for the next design.
         """
         path_row = np.full(self.m, -1, dtype=np.int64)
         if rows is None:
-            return np.zeros((0, 0, data.PATH)), path_row, path_row[:0]
+            return np.zeros((0, 0, data.PATH)), path_row, None
         driven_row = np.full(self.scenarios.n, -1, dtype=np.int64)
         driven_row[self.rows] = np.arange(self.m)
         triggered = np.flatnonzero(driven_row[rows] >= 0)
         with_path = driven_row[rows[triggered]]
         path_row[with_path] = np.arange(with_path.size)
         longest = int(self.scene[with_path, data.STEPS].max(initial=0)) + 2
-        return np.full((with_path.size, longest, data.PATH), np.nan), path_row, triggered
+        shape = with_path.size, longest, data.PATH
+        paths = (
+            self.scratch(math.prod(shape), "paths")[: math.prod(shape)].reshape(shape) if reused else np.empty(shape)
+        )
+        paths.fill(np.nan)
+        return paths, path_row, (paths, rows, triggered)
 
     @property
     def steps(self) -> IntArray:

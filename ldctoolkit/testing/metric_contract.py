@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
-import sys
 from collections.abc import Callable, Iterator
 from typing import ClassVar
 
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.code_content import modules_of
+from ldctoolkit.code_content import modules_of, pickled
 from ldctoolkit.control import Controller, LinearLaw
 from ldctoolkit.declared import gain
 from ldctoolkit.errors import InputError, LdcError
@@ -82,7 +81,7 @@ def _faults(metric: UserMetric, paths: Paths) -> Iterator[tuple[str, str]]:
             "neighbours": lambda: checked_values(metric, paths.take(order))[order],
             "alone": lambda: np.concatenate([checked_values(metric, paths.take([i])) for i in order])[order],
             "side": lambda: checked_values(metric, mirrored),
-            "worker": lambda: checked_values(_sent(metric), paths),
+            "worker": lambda: checked_values(pickle.loads(pickled(metric, modules_of(metric.function))), paths),
         }
         for check, again in others.items():
             if not np.array_equal(values, other := again(), equal_nan=True):
@@ -90,21 +89,5 @@ def _faults(metric: UserMetric, paths: Paths) -> Iterator[tuple[str, str]]:
                 yield check, f"{values[i]!r} becomes {other[i]!r}; allowed: the same bits"
     except LdcError as error:
         yield "values", error.without_path
-
-
-def _sent(metric: UserMetric) -> UserMetric:
-    """The metric as a worker process has it."""
-    import cloudpickle
-
-    by_value = [sys.modules[name] for name in modules_of(metric.function) if name in sys.modules]
-    known = cloudpickle.list_registry_pickle_by_value()
-    for module in (added := [module for module in by_value if module.__name__ not in known]):
-        cloudpickle.register_pickle_by_value(module)
-    try:
-        sent: UserMetric = pickle.loads(cloudpickle.dumps(metric))
-        return sent
     except Exception as error:  # whatever a function may hold
-        raise LdcError(metric.name, f"cannot be sent to a worker process: {type(error).__name__}: {error}") from None
-    finally:
-        for module in added:
-            cloudpickle.unregister_pickle_by_value(module)
+        yield "worker", f"cannot be sent to a worker process: {type(error).__name__}: {error}"

@@ -48,9 +48,7 @@ def _confidence_sentences(context: Context) -> Iterator[str]:
     inference = ranking.inference
     intervals = inference.difference, inference.difference_low, inference.difference_high
     away, low, high = (float(values[second]) for values in intervals)
-    scale, unit = (
-        (1.0, "m\u00b7s") if ranking.criterion is None else (ranking.ranked_by.scale, ranking.ranked_by.shown_unit)
-    )
+    scale, unit = ranking.scale_and_unit("m\u00b7s")
     interval = f" ({level} interval {difference_text(scale * low)} to {difference_text(scale * high)})"
     between = interval if math.isfinite(low + high) else ""
     separated = not inference.set_of_best[second]

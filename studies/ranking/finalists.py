@@ -7,13 +7,13 @@ from typing import Final, Self
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.metrics import METRICS, Metric
+from ldctoolkit.metrics import METRICS, USER_GROUP, Metric
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 
 from ..design import Design
 from ..design_space import Dimension
-from ..requirements import Estimate, Miss, Requirement
+from ..requirements import Estimate, Miss, Requirement, metric
 from ..results import FailedDesign, RefitScores, StudyResults, score_label
 from .design_metrics import DesignMetrics, mean_reduction
 from .inference import (
@@ -310,13 +310,35 @@ class RankedDesigns:
         """The row of what designs are ranked by."""
         return METRICS["S"] if self.criterion is None else self.criterion.metric
 
-    def apart(self, *values: float, unit: str = "m s", text: str = ".4f") -> list[str]:
-        """Differences to other designs as texts, in the unit of what designs are ranked by (S: `unit`), which ends the
-        first one.
-        """
-        of = self.ranked_by
-        shown = [f"{of.scale * value:{text}}" for value in values]
-        return [f"{shown[0]} {unit if of.name == 'S' else of.shown_unit}".rstrip(), *shown[1:]]
+    def scale_and_unit(self, of_S: str = "m s") -> tuple[float, str]:
+        """Factor and unit that differences to other designs are shown in; `of_S` where designs are ranked by it."""
+        return (1.0, of_S) if self.criterion is None else (self.ranked_by.scale, self.ranked_by.shown_unit)
+
+    def apart(self, value: float, low: float, high: float, form: str = ".4f") -> str:
+        """A difference to another design with its interval."""
+        scale, unit = self.scale_and_unit()
+        shown, *ends = (f"{scale * x:{form}}" for x in (value, low, high))
+        return f"{shown} {unit} ({' .. '.join(ends)})"
+
+    def criterion_text(self, i: int) -> str:
+        """What a design is ranked by, on the scenarios of `sample`, as a sentence; empty for S."""
+        if (of := self.criterion) is None:
+            return ""
+        fresh, digits = bool(np.isfinite(of.fresh[i])), of.metric.digits
+        columns = (of.fresh, of.fresh_low, of.fresh_high) if fresh else (of.mean, of.low, of.high)
+        value, low, high = (f"{of.metric.scale * column[i]:.{digits}f}" for column in columns)
+        between = "" if np.isnan(columns[1][i]) else f" ({100 * self.confidence:g} % interval {low} to {high})"
+        unit = f" {of.metric.shown_unit}".rstrip()
+        return f"{of.metric.title}: {value}{unit} on {self.sample(i)}{between}. "
+
+    @property
+    def user_columns(self) -> dict[str, Metric]:
+        """Metrics of the designer's that a table shows: what is ranked by, what is required, else the mean of each."""
+        rows = [row for row in map(metric, self.metrics.beside) if row.group == USER_GROUP]
+        named = [self.ranked_by, *(requirement.metric for requirement in self.requirements)]
+        asked = [row for row in named if row.group == USER_GROUP]
+        others = [row for row in rows if row.aggregate == "mean" and row.of not in [other.of for other in asked]]
+        return {row.name: row for row in (*asked, *others)}
 
     @property
     def costs(self) -> tuple[FloatArray, FloatArray]:

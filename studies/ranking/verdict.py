@@ -9,7 +9,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.declared import Gain
-from ldctoolkit.metrics import METRICS, USER_GROUP, Metric
+from ldctoolkit.metrics import METRICS
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import misleading
@@ -17,7 +17,7 @@ from ldctoolkit.setup import Setup
 
 from ..design import Design
 from ..design_space import THRESHOLD, Y_S, Choices, Span
-from ..requirements import Estimate, G, Miss, metric, metric_values
+from ..requirements import Estimate, G, Miss, metric_values
 from ..results import StudyResults
 from ..tables import Cell, Column, Row, Table, Value, notebook_html
 from ..text import compact
@@ -146,7 +146,7 @@ def verdict(
     if meeting or not acting:
         position = meeting[0] if ranking.winner is None and meeting else ranking.winner or 0
         title = _of_winner(ranking, position)
-        sentences = [f"{_criterion(ranking, position)}{_score(ranking, position)}"]
+        sentences = [f"{ranking.criterion_text(position)}{_score(ranking, position)}"]
         broken = _broken(ranking, position)
         if broken:
             sentences.append(f"It is not usable as it is: {_list(broken)}.")
@@ -201,20 +201,6 @@ def _of_winner(ranking: RankedDesigns, position: int) -> str:
     of = ranking.ranked_by
     best = "Smallest S" if of.name == "S" else f"{'Largest' if of.better == 'more' else 'Smallest'} {of.title}"
     return f"{best}{', but not usable' if _broken(ranking, position) else ''}: {name}"
-
-
-def _criterion(ranking: RankedDesigns, i: int) -> str:
-    """What a design is ranked by, on the sample of `_score`; empty for S."""
-    if (of := ranking.criterion) is None:
-        return ""
-    fresh = bool(np.isfinite(of.fresh[i]))
-    columns = (of.fresh, of.fresh_low, of.fresh_high) if fresh else (of.mean, of.low, of.high)
-    value, low, high = (float(of.metric.scale * values[i]) for values in columns)
-    digits = of.metric.digits
-    level = f"{100 * ranking.confidence:g} % interval"
-    between = f" ({level} {low:.{digits}f} to {high:.{digits}f})" if math.isfinite(low + high) else ""
-    shown = f"{value:.{digits}f} {of.metric.shown_unit}".rstrip()
-    return f"{of.metric.title}: {shown} on {ranking.sample(i)}{between}. "
 
 
 def _score(ranking: RankedDesigns, i: int) -> str:
@@ -384,10 +370,10 @@ def optimism_text(ranking: RankedDesigns, i: int, unit: str = "m s") -> str:
     word = "worse" if change > 0 else "better"
     of = ", as the difference to the baseline," if ranking.fresh.optimism_paired else ""
     chance = "within sampling error" if low <= 0 <= high else "more than sampling error"
-    size, ends = ranking.apart(abs(change), unit=unit)[0], ranking.apart(0.0, low, high, text="+.4f")[1:]
+    scale, unit = ranking.scale_and_unit(unit)
     return (
-        f"On fresh scenarios the winner scored{of} {size} {word} than on the study scenarios "
-        f"({' .. '.join(ends)}), {chance}."
+        f"On fresh scenarios the winner scored{of} {scale * abs(change):.4f} {unit} {word} than on the study scenarios "
+        f"({scale * low:+.4f} .. {scale * high:+.4f}), {chance}."
     )
 
 
@@ -461,8 +447,7 @@ def blocked_values(ranking: RankedDesigns, position: int) -> tuple[BlockedValue,
         for x in (*tried[:at][-1:], *tried[at + 1 :][:1]):
             if (i := beside[x]) >= len(ranking):
                 continue
-            fresh = np.isfinite(ranking.fresh.S[[i, position]]).all()
-            cost = ranking.costs[bool(fresh)]
+            cost = ranking.costs[bool(np.isfinite(ranking.fresh.S[[i, position]]).all())]
             missed = ranking.missed[i] or tuple(of for of in ranking.estimates(i) if of.required and not of.met)
             if missed and cost[i] < cost[position]:
                 blocked.append(BlockedValue(gain, x, missed))
@@ -491,20 +476,11 @@ StepTimes = Mapping[str, tuple[float, float]]
 """Median and 99 % quantile of the time of a law's step [s], by the identifier of a design."""
 
 
-def user_columns(ranking: RankedDesigns) -> dict[str, Metric]:
-    """Metrics of the designer's that a table shows: what is ranked by, what is required, else the mean of each."""
-    rows = [row for row in map(metric, ranking.metrics.beside) if row.group == USER_GROUP]
-    named = [ranking.ranked_by, *(requirement.metric for requirement in ranking.requirements)]
-    asked = [row for row in named if row.group == USER_GROUP]
-    others = [row for row in rows if row.aggregate == "mean" and row.of not in [other.of for other in asked]]
-    return {row.name: row for row in (*asked, *others)}
-
-
 def ranking_table(ranking: RankedDesigns, positions: Sequence[int], times: StepTimes | None = None) -> Table:
     """Table of the designs at the given positions, for terminal, Markdown and notebook."""
     heads = (("Reduction", "reduction"), ("a_y p95", "a_y"), ("Jerk p95", "jerk"), ("Needless", "needless"))
     level = f"{100 * ranking.confidence:g} % interval"
-    users = user_columns(ranking)
+    users = ranking.user_columns
     columns = [
         Column("Rank", key="rank"),
         Column("Law", text=True),
@@ -549,7 +525,7 @@ def ranking_table(ranking: RankedDesigns, positions: Sequence[int], times: StepT
         kind = "winner" if i == ranking.winner else "baseline" if i == ranking.baseline else ""
         rows.append(Row(cells, kind, apart=i > before + 1))
     by = "mean S" if ranking.criterion is None else ranking.ranked_by.title
-    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by {by}, {ranking.label}"
+    title = f"{len(ranking):,} design{'s' * (len(ranking) != 1)} by {by}, {ranking.label}"
     return Table(title, columns, rows, head=1)
 
 
@@ -637,8 +613,7 @@ def limit_line(ranking: RankedDesigns) -> str:
 
     second = max(within, without)
     low, high = (float(getattr(ranking.inference, f"difference_{end}")[second]) for end in ("low", "high"))
-    away, *interval = ranking.apart(float(ranking.inference.difference[second]), low, high)
-    apart = f" Between them: {away} ({' .. '.join(interval)})."
+    apart = f" Between them: {ranking.apart(float(ranking.inference.difference[second]), low, high)}."
     return (
         f"With a limit of comfort in the law: {parts(within, ' than without control')} (95 % quantile); the best "
         f"without: {parts(without, '')}.{'' if min(within, without) or math.isnan(low + high) else apart}"
@@ -656,9 +631,8 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         if math.isfinite(low):
             where = "fresh" if fresh else "study"
             what = "Winner minus baseline" if ranking.ranked_by.better == "less" else "Baseline minus winner"
-            size, *interval = ranking.apart(value, low, high, text="+.4f")
-            name = design_name(ranking.designs[b])
-            yield f"{what} ({name}): {size} ({' .. '.join(interval)}) on the {where} scenarios."
+            apart = ranking.apart(value, low, high, "+.4f")
+            yield f"{what} ({design_name(ranking.designs[b])}): {apart} on the {where} scenarios."
     if i is not None and ranking.fresh.scenarios and not np.isfinite(ranking.fresh.S[i]):
         yield "The winner was no finalist; it has no fresh score."
     if i is not None and np.isfinite(ranking.fresh.optimism[i]):
