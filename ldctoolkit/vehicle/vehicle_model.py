@@ -403,6 +403,9 @@ class Equations:
     def fastest(self, x: FloatArray, p: FloatArray) -> FloatArray:
         """Largest eigenvalue or diagonal entry of the Jacobian by size, (n,) [1/s]."""
         A = self.jacobian(x, p)[:, :, :-1]
+        if (bad := ~np.isfinite(A).all(axis=(1, 2))).any():
+            at = f"near e_y = {x[bad][0, 0]:.3g} m, {p[bad][0, 0]:.3g} m/s"
+            raise InputError(f"{self.name}.derivatives", f"not finite {at}", allowed="finite numbers")
         both = np.column_stack([np.linalg.eigvals(A), np.diagonal(A, axis1=1, axis2=2)])
         rates: FloatArray = np.abs(both).max(axis=1, initial=0.0)
         if (stiff := rates > FASTEST).any():
