@@ -459,7 +459,7 @@ def test_the_paper_is_run_from_the_printed_start() -> None:
 
 
 def test_the_catalog_loads() -> None:
-    names = "ideal paper paper-as-printed reality road-edge trigger-and-gains zoo zoo-sweep"
+    names = "ideal my-vehicle paper paper-as-printed reality road-edge trigger-and-gains zoo zoo-sweep"
     assert catalog_names() == tuple(names.split())
     assert all(load_study(name).name == name for name in catalog_names())
     assert not load_study("reality").plant.ideal
