@@ -52,9 +52,9 @@ def _table(path: str, table: Content, usual: Content, owner: type, about: Conten
     for key, value in table.items():
         if key not in tables:
             unit, allowed = _declared(owner, key)
-            default = "" if path + key == "name" else f"default {_toml(usual[key])}"
+            default = "" if path + key == "name" else f"default {_toml(usual.get(key))}"
             shown = _EXAMPLES[key] if value is None else value
-            off = mark or "# " * (value is None or (value == usual[key] and key not in _ALWAYS))
+            off = mark or "# " * (value is None or (value == usual.get(key) and key not in _ALWAYS))
             yield _line(key, _toml(shown), [unit + about[key], allowed, default], off)
     for key, texts in tables.items():
         hint = get_type_hints(owner)[key]
