@@ -350,6 +350,8 @@ class Equations:
 
     def a_y(self, x: FloatArray, p: FloatArray) -> FloatArray:
         """Lateral acceleration (n,) [m/s^2]."""
+        if self.symbolic:
+            return np.asarray(self._a_y(x.T, p.T)).ravel()
         with np.errstate(all="ignore"):
             return np.array(self._acceleration([*x.T.copy()], [*p.T.copy()]))
 
