@@ -37,15 +37,15 @@ _MODEL: Final = "FILE.py:NAME of a VehicleModel, or an object of one"
 _models: Final[dict[str, VehicleModel]] = {}  # of this process, by what studies call them
 
 
-def load_vehicle_model(path: str, entry: Any, folder: Path, known: dict[str, VehicleModel]) -> str:
-    """What a study calls a vehicle model, given as an object, a class or FILE.py:NAME; the model into `known`."""
+def load_vehicle_model(path: str, entry: Any, folder: Path | None, known: dict[str, VehicleModel]) -> str:
+    """What a study calls a vehicle model, given as an object, a class or FILE.py:NAME; the model into `known`.
+
+    Without a folder of files it is one that this process knows already.
+    """
     text, model = (entry, known.get(entry)) if isinstance(entry, str) else ("", entry)
     if isinstance(entry, str) and model is None:
-        try:
-            model = from_file(path, entry, folder, _MODEL)
-        except InputError:
-            if (model := _models.get(entry)) is None:
-                raise
+        model = _models.get(entry) if folder is None or ".py:" not in entry else None
+        model = from_file(path, entry, folder or Path(), _MODEL) if model is None else model
     if isinstance(model, type) and issubclass(model, VehicleModel):
         try:
             model = model()
@@ -58,7 +58,7 @@ def load_vehicle_model(path: str, entry: Any, folder: Path, known: dict[str, Veh
     return text
 
 
-def _with_models(content: dict[str, Any], folder: Path, known: dict[str, VehicleModel]) -> dict[str, Any]:
+def _with_models(content: dict[str, Any], folder: Path | None, known: dict[str, VehicleModel]) -> dict[str, Any]:
     """What a study file holds, with texts for its vehicle models."""
     vehicle, ranking = content.get("vehicle"), content.get("ranking")
     if isinstance(vehicle, dict) and "model" in vehicle:
@@ -398,7 +398,7 @@ class Study(Part):
         content: dict[str, Any],
         *,
         source: str = "study",
-        folder: str | Path = ".",
+        folder: str | Path | None = None,
         classes: Mapping[str, type[Controller]] | None = None,
         models: Mapping[str, VehicleModel] | None = None,
     ) -> Study:
@@ -421,7 +421,7 @@ class Study(Part):
         """
         known = dict(models or {})
         try:
-            content = _with_models(content, Path(folder), known)
+            content = _with_models(content, None if folder is None else Path(folder), known)
             study = cls.model_validate(as_tuples(content), context=classes)
             study._models = known
             study.setup()
@@ -429,7 +429,7 @@ class Study(Part):
             raise StudyError.of(error.within(source, ": ")) from None
         except ValidationError as error:
             raise StudyError.of(first_problem(error, content, cls, "study").within(source, ": ")) from None
-        study._folder = Path(folder)
+        study._folder = Path(folder or ".")
         return study
 
     @functools.cached_property

@@ -63,6 +63,9 @@ class SelfDriven(NumPyBicycle):
     states = ("lateral",)
     longest_step = 0.005
 
+    def initial(self, turn: Any) -> dict[str, Any]:
+        return {"lateral": turn.e_y_acceleration + turn.v * turn.yaw_rate}
+
     def begin(self, turn: Any) -> list[int]:
         return [0] * turn.v.size
 
