@@ -231,18 +231,23 @@ def test_another_process_gets_the_model_by_value() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("car", [Drift(), MultiBody()])
-def test_rankings_on_published_models(car: ldc.VehicleModel) -> None:
-    """50 departures: the order of the laws on the model's single track, and on the model."""
+@pytest.mark.parametrize(("car", "best"), [(Drift(), "lqr"), (MultiBody(), "pure_pursuit")])
+def test_rankings_on_published_models(car: ldc.VehicleModel, best: str) -> None:
+    """50 departures behind a lag and a delay that laws do not know: the best law that never fails is another one on the
+    model than on its single track, where the order of mean S is the same."""
     p = PARAMETERS
     like = ldc.VehicleParameters(m=p.m, I_z=p.I_z, l_f=p.a, l_r=p.b, C_af=60000.0, C_ar=60000.0)
-    track = car.single_track(like)
-    laws = (ldc.Stanley(), ldc.PurePursuit(), ldc.SlidingMode(), ldc.LQR(), ldc.PID())
-    scenarios = ldc.load_model("reference").sample(25, 25, seed=3)
-    options = PlantOptions(speed="profile", actuator=Actuator(lag=0.1, rate_max=0.4, delay=0.03))
-    on_track = Setup(vehicle=track, options=options)
-    S = np.array([[simulate(law, scenarios, y_s=0.1, setup=setup).mean_reduction for law in laws]
-                  for setup in (on_track, dataclasses.replace(on_track, vehicle_model=car))])  # fmt: skip
-    assert np.isfinite(S).all()
-    order = [[laws[i].name for i in np.argsort(-row)] for row in S]
-    print(order)
+    options = PlantOptions(speed="profile", actuator=Actuator(lag=0.15, delay=0.1))
+    track = Setup(vehicle=car.single_track(like), options=options, plant_knowledge="ideal")
+    scenarios, laws = (
+        ldc.load_model("reference").sample(25, 25, seed=3),
+        (ldc.Stanley(), ldc.LQR(r_delta=2000.0), ldc.PurePursuit()),
+    )
+    for setup, expected in ((track, "stanley"), (dataclasses.replace(track, vehicle_model=car), best)):
+        outcomes = [simulate(law, scenarios, y_s=0.1, setup=setup) for law in laws]
+        S = [outcome.S.mean() for outcome in outcomes]
+        assert sorted(S) == S
+        safe = [
+            law.name for law, outcome in zip(laws, outcomes, strict=True) if not outcome.count(EventStatus.DIVERGED)
+        ]
+        assert safe[0] == expected
