@@ -1,34 +1,21 @@
 """The contract of a vehicle model, as a check that its author runs in tests of their own."""
 
 import copy
-import dataclasses
 import pickle
 from collections.abc import Iterator
 
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.control import Controller, LinearLaw
-from ldctoolkit.declared import gain
 from ldctoolkit.errors import expect
 from ldctoolkit.law_checks import raised
+from ldctoolkit.registry import controller_class
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import simulate
 from ldctoolkit.testing.contract import ContractError, Fault
-from ldctoolkit.vehicle import Plant, RecordedTurn, VehicleModel
+from ldctoolkit.vehicle import RecordedTurn, VehicleModel
 from ldctoolkit.vehicle.vehicle_model import equations
-
-
-@dataclasses.dataclass(frozen=True)
-class _Feedback(Controller):
-    """A law that any road vehicle survives."""
-
-    name, title = "contract_feedback", "Feedback of the contract"
-    k: float = gain(0.01, unit="1", lower=0.0, upper=1.0, description="weight of the lateral offset")
-
-    def prepare(self, plant: Plant) -> LinearLaw:
-        return LinearLaw(F=np.tile([-self.k, 0.0, -20.0 * self.k, 0.0], (plant.n, 1)))
 
 
 def check_vehicle_model(
@@ -98,7 +85,8 @@ def _repeats(model: VehicleModel, speeds: tuple[float, ...]) -> Iterator[str]:
         yield "has another identity after the way to another process"
 
     def score(car: VehicleModel, scenarios: Scenarios) -> FloatArray:
-        return simulate(_Feedback(), scenarios, y_s=0.1, setup=Setup(vehicle_model=car, settle=0.5)).S
+        law = controller_class("preview_proportional")()
+        return simulate(law, scenarios, y_s=0.1, setup=Setup(vehicle_model=car, settle=0.5)).S
 
     S, alone = score(model, both), np.concatenate([score(model, both.take([i])) for i in range(2 * n)])
     others = (score(model, both), "in a second run"), (score(sent, both), "in another process"), (alone, "alone")

@@ -118,7 +118,8 @@ class VehicleModel(CheckedArguments, abc.ABC):
     @property
     def identity(self) -> str:
         """Sixteen hexadecimal digits of the class, its code and the fields."""
-        return hashlib.sha256(repr((type(self).__qualname__, vars(self))).encode()).hexdigest()[:16]
+        values = [type(self).__qualname__, *(getattr(self, field.name) for field in dataclasses.fields(self))]
+        return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
 
     @property
     def advances(self) -> bool:
@@ -300,7 +301,7 @@ class Equations:
             step = ca.Function("step", [e, own], [ca.densify(ca.vertcat(after[:4], area)), after[4:]])
             a_y = ca.Function("a_y_start", [e, own], [ca.densify(self._a_y(whole, points[0]))])
             several = (f.map(f"{f.name()}_several", "serial", TOGETHER, [], []) for f in (step, a_y))
-            self.compiled = compiled((*several,), f"vehicle_{self.name}")
+            self._rates, *self.compiled = compiled((self._rates, *several), f"vehicle_{self.name}")
 
     def _derivatives(self, x: Any, p: Any) -> list[Any]:
         """Rates of all states from their symbols or arrays, and those of a moment."""
