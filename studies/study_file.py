@@ -425,6 +425,9 @@ class Study(Part):
             study = cls.model_validate(as_tuples(content), context=classes)
             study._models = known
             study.setup()
+            if study.vehicle_model and (named := [name for name in study.vehicles if isinstance(name, str)]):
+                hint = "named vehicles, S_worst's if none are given, are changes of the single track"
+                raise InputError("ranking.vehicles", "with a vehicle model", value=named, allowed=_MODEL, hint=hint)
         except InputError as error:
             raise StudyError.of(error.within(source, ": ")) from None
         except ValidationError as error:

@@ -107,6 +107,14 @@ def test_names_that_are_no_vehicle_model(model: str, path: str, tmp_path: Path) 
         load_study(written(tmp_path, vehicle="", ranking=f', vehicles = ["{model}"]'))
 
 
+@pytest.mark.parametrize("ranking", [', vehicles = ["light"]', ', require = ["S_worst <= 3"]'])
+def test_named_vehicles_are_changes_of_the_single_track(ranking: str, tmp_path: Path) -> None:
+    with pytest.raises(StudyError) as caught:
+        load_study(written(tmp_path, ranking=ranking))
+    assert caught.value.path.endswith("ranking.vehicles")
+    load_study(written(tmp_path, ranking=', vehicles = ["my_car.py:Car"], require = ["S_worst <= 3"]'))
+
+
 def test_a_vehicle_file_that_raises(tmp_path: Path) -> None:
     path = written(tmp_path)
     (tmp_path / "my_car.py").write_text("1 / 0")
