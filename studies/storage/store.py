@@ -102,7 +102,8 @@ class Store:
                 for metric in study.metrics
                 if codes.get(metric.name, metric.code) != metric.code
             ]
-            was, now = (m.study["vehicle"].get("model_code") for m in (former, manifest))
+            name = study.vehicle_model
+            was, now = (m.vehicle_models.get(name, ("", ""))[1] for m in (former, manifest))
             if (others := former.other_versions()) or was != now:
                 what = f"was made with {others}" if others else "the vehicle model has changed since the last run"
                 notices = [f"{what}; everything is computed anew"]
