@@ -47,7 +47,7 @@ def called(path: str, function: Callable[..., Any], *arguments: Any, hint: str =
     except Exception as error:
         design: Any = getattr(function, "__self__", None)
         if isinstance(error, AttributeError) and design is not None and id(error.obj) == id(design):
-            names = [field.name for field in dataclasses.fields(design)]
+            names = [field.name for field in dataclasses.fields(design) if field.init]
             owner = getattr(design, "name", type(design).__name__)
             raise UnknownNameError(f"{owner}.{error.name}", "no such field", allowed=names) from error
         error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # from the designer's line on

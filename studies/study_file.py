@@ -33,14 +33,18 @@ from .requirements import SETS, metric, parse_requirement
 from .standards import VEHICLES, standard_names
 
 _MODEL: Final = "FILE.py:NAME of a VehicleModel, or an object of one"
-_models: Final[dict[tuple[str, str], VehicleModel]] = {}  # of this process, by what they were called and identity
+_models: Final[dict[str, VehicleModel]] = {}  # of this process, by what studies call them
 
 
-def _vehicle_model(path: str, entry: Any, code: str, folder: Path, known: dict[str, VehicleModel]) -> str:
-    """What a study calls a vehicle model, given as an object, a class or FILE.py:NAME; the model into `known`."""
-    text, model = (entry, known.get(entry) or _models.get((entry, code))) if isinstance(entry, str) else ("", entry)
+def load_vehicle_model(path: str, entry: Any, folder: Path | None, known: dict[str, VehicleModel]) -> str:
+    """What a study calls a vehicle model, given as an object, a class or FILE.py:NAME; the model into `known`.
+
+    Without a folder of files it is one that this process knows already.
+    """
+    text, model = (entry, known.get(entry)) if isinstance(entry, str) else ("", entry)
     if isinstance(entry, str) and model is None:
-        model = from_file(path, entry, folder, _MODEL)
+        model = _models.get(entry) if folder is None or ".py:" not in entry else None
+        model = from_file(path, entry, folder or Path(), _MODEL) if model is None else model
     if isinstance(model, type) and issubclass(model, VehicleModel):
         try:
             model = model()
@@ -49,24 +53,24 @@ def _vehicle_model(path: str, entry: Any, code: str, folder: Path, known: dict[s
     if not isinstance(model, VehicleModel):
         raise InputError(path, value=entry, allowed=_MODEL)
     text = text or f"{type(model).__name__} {model.identity}"
-    known[text] = _models[text, model.identity] = model
+    known[text] = _models[text] = model
     return text
 
 
-def _with_models(content: dict[str, Any], folder: Path, known: dict[str, VehicleModel]) -> dict[str, Any]:
+def _with_models(content: dict[str, Any], folder: Path | None, known: dict[str, VehicleModel]) -> dict[str, Any]:
     """What a study file holds, with texts for its vehicle models."""
     vehicle, ranking = content.get("vehicle"), content.get("ranking")
     if isinstance(vehicle, dict) and "model" in vehicle:
-        rest = {key: value for key, value in vehicle.items() if key not in ("model", "model_code")}
-        model = _vehicle_model("vehicle.model", vehicle["model"], vehicle.get("model_code", ""), folder, known)
+        rest = {key: value for key, value in vehicle.items() if key != "model"}
+        model = load_vehicle_model("vehicle.model", vehicle["model"], folder, known)
         content = content | {"vehicle": rest, "vehicle_model": model}
     elif content.get("vehicle_model"):
-        model = _vehicle_model("vehicle_model", content["vehicle_model"], "", folder, known)
+        model = load_vehicle_model("vehicle_model", content["vehicle_model"], folder, known)
         content = content | {"vehicle_model": model}
     names = ranking.get("vehicles") if isinstance(ranking, dict) else None
     if isinstance(ranking, dict) and isinstance(names, list | tuple):
         models = [
-            _vehicle_model(f"ranking.vehicles[{i}]", name, "", folder, known)
+            load_vehicle_model(f"ranking.vehicles[{i}]", name, folder, known)
             if not isinstance(name, str) or ":" in name or name in known
             else name
             for i, name in enumerate(names)
@@ -124,7 +128,7 @@ def read_table(kind: type, table: dict[str, Any], prefix: str = "") -> Any:
 
 
 def _vehicle_name(name: str) -> str:
-    if name not in VEHICLES and name not in (text for text, _ in _models):
+    if name not in VEHICLES and name not in _models:
         raise InputError(value=name, allowed=(*VEHICLES, "FILE.py:NAME of a VehicleModel"))
     return name
 
@@ -393,7 +397,7 @@ class Study(Part):
         content: dict[str, Any],
         *,
         source: str = "study",
-        folder: str | Path = ".",
+        folder: str | Path | None = None,
         classes: Mapping[str, type[Controller]] | None = None,
         models: Mapping[str, VehicleModel] | None = None,
     ) -> Study:
@@ -416,8 +420,8 @@ class Study(Part):
         """
         known = dict(models or {})
         try:
-            content = load_laws(content, Path(folder), laws := dict(classes or {}))
-            content = _with_models(content, Path(folder), known)
+            content = load_laws(content, Path(folder or "."), laws := dict(classes or {}))
+            content = _with_models(content, None if folder is None else Path(folder), known)
             study = cls.model_validate(as_tuples(content), context=laws)
             study._models = known
             study.setup()
@@ -425,7 +429,7 @@ class Study(Part):
             raise StudyError.of(error.within(source, ": ")) from None
         except ValidationError as error:
             raise StudyError.of(first_problem(error, content, cls, "study").within(source, ": ")) from None
-        study._folder = Path(folder)
+        study._folder = Path(folder or ".")
         return study
 
     @functools.cached_property
@@ -465,6 +469,11 @@ class Study(Part):
         return tuple(self._models.get(name, name) for name in names)
 
     @property
+    def vehicle_models(self) -> dict[str, VehicleModel]:
+        """Vehicle models by what the study calls them."""
+        return self._models
+
+    @property
     def folder(self) -> Path:
         """Where relative paths start."""
         return self._folder
@@ -496,8 +505,7 @@ class Study(Part):
         """Everything in plain JSON types; `from_dict` reads it back."""
         content = self.model_dump(mode="json")
         if self.vehicle_model:
-            code = self._models[self.vehicle_model].identity
-            content["vehicle"] |= {"model": self.vehicle_model, "model_code": code}
+            content["vehicle"]["model"] = self.vehicle_model
         return content
 
     def inputs(self) -> dict[str, Any]:
@@ -505,8 +513,8 @@ class Study(Part):
         content = self.content()
         same = {key: content[key] for key in ("seed", "simulation", "vehicle", "plant")}
         del same["vehicle"]["steering_ratio"]  # it decides no number of a run
-        if same["vehicle"].pop("model_code", ""):  # an edit of its code is the same study, which is run anew
-            same["vehicle"]["model"] = type(self._models[self.vehicle_model]).__name__
+        if self.vehicle_model:  # an edit of its code is the same study, which is run anew
+            same["vehicle"]["model"] = type(self.vehicle_models[self.vehicle_model]).__name__
         if same["simulation"]["trigger"] == "distance":  # as before there was another
             del same["simulation"]["trigger"], same["simulation"]["ttlc"]
         keys = ["left", "right"] if self.scenarios.weights else []  # else a scenario is the same however many there are
@@ -519,7 +527,7 @@ class Study(Part):
         same = self.inputs()
         same["scenarios"] |= {"left": self.scenarios.left, "right": self.scenarios.right}
         if self.vehicle_model:
-            same["vehicle"]["model"] = self._models[self.vehicle_model].identity
+            same["vehicle"]["model"] = self.vehicle_models[self.vehicle_model].identity
         if self.search is None:
             return same | {"designs": [design.id for design in self.designs]}
         content = self.content()

@@ -196,7 +196,8 @@ class ModelStretch(Stretch):
     def _own(self, work: _Workspace, blocks: IntArray) -> tuple[int, IntArray]:
         """Own states of the lanes of some blocks into the workspace; how many lanes, and which."""
         lanes = (blocks[:, None] * data.LANES + np.arange(data.LANES)).ravel()
-        work.own[: lanes.size] = self.own[lanes]
+        if self.own.size:
+            work.own[: lanes.size] = self.own[lanes]
         return lanes.size, lanes
 
     def _step(self, work: _Workspace, blocks: IntArray) -> None:
@@ -213,7 +214,8 @@ class ModelStretch(Stretch):
             finite = np.isfinite(work.result[:n]).all(axis=1) & np.isfinite(work.own_after[:n]).all(axis=1)
             upright = (np.abs(work.e[:n, 2]) <= _UPRIGHT) & (np.abs(work.own[:n]) <= _LARGEST).all(axis=1)
             self._fail("advance" if self.model.advances else "derivatives", work, moved & ~finite & upright)
-        self.own[lanes[moved]] = work.own_after[:n][moved]
+        if self.own.size:
+            self.own[lanes[moved]] = work.own_after[:n][moved]
 
     def _advance(self, work: _Workspace, lanes: IntArray, rows: IntArray) -> None:
         """The model's own step of some lanes, in rows of the workspace."""

@@ -1,4 +1,4 @@
-"""The contract that every controller keeps, as checks that its author runs in tests of their own.
+"""The contracts that controllers and vehicle models keep, as checks that their authors run in tests of their own.
 
 Under pytest, subclass `ControllerContract`; without it, call `check_controller_contract`. Nothing here needs pytest.
 """
@@ -12,6 +12,7 @@ from ldctoolkit.testing.contract import (
     contract_faults,
 )
 from ldctoolkit.testing.subject import ContractSettings
+from ldctoolkit.testing.vehicle import check_vehicle_model
 
 __all__ = [
     "CHECKS",
@@ -20,5 +21,6 @@ __all__ = [
     "ControllerContract",
     "Fault",
     "check_controller_contract",
+    "check_vehicle_model",
     "contract_faults",
 ]

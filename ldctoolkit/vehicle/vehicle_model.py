@@ -118,7 +118,8 @@ class VehicleModel(CheckedArguments, abc.ABC):
     @property
     def identity(self) -> str:
         """Sixteen hexadecimal digits of the class, its code and the fields."""
-        return hashlib.sha256(repr((type(self).__qualname__, vars(self))).encode()).hexdigest()[:16]
+        values = [type(self).__qualname__, *(getattr(self, field.name) for field in dataclasses.fields(self))]
+        return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
 
     @property
     def advances(self) -> bool:
@@ -300,7 +301,7 @@ class Equations:
             step = ca.Function("step", [e, own], [ca.densify(ca.vertcat(after[:4], area)), after[4:]])
             a_y = ca.Function("a_y_start", [e, own], [ca.densify(self._a_y(whole, points[0]))])
             several = (f.map(f"{f.name()}_several", "serial", TOGETHER, [], []) for f in (step, a_y))
-            self.compiled = compiled((*several,), f"vehicle_{self.name}")
+            self._rates, *self.compiled = compiled((self._rates, *several), f"vehicle_{self.name}")
 
     def _derivatives(self, x: Any, p: Any) -> list[Any]:
         """Rates of all states from their symbols or arrays, and those of a moment."""
@@ -350,6 +351,8 @@ class Equations:
 
     def a_y(self, x: FloatArray, p: FloatArray) -> FloatArray:
         """Lateral acceleration (n,) [m/s^2]."""
+        if self.symbolic:
+            return np.asarray(self._a_y(x.T, p.T)).ravel()
         with np.errstate(all="ignore"):
             return np.array(self._acceleration([*x.T.copy()], [*p.T.copy()]))
 
@@ -403,6 +406,9 @@ class Equations:
     def fastest(self, x: FloatArray, p: FloatArray) -> FloatArray:
         """Largest eigenvalue or diagonal entry of the Jacobian by size, (n,) [1/s]."""
         A = self.jacobian(x, p)[:, :, :-1]
+        if (bad := ~np.isfinite(A).all(axis=(1, 2))).any():
+            at = f"near e_y = {x[bad][0, 0]:.3g} m, {p[bad][0, 0]:.3g} m/s"
+            raise InputError(f"{self.name}.derivatives", f"not finite {at}", allowed="finite numbers")
         both = np.column_stack([np.linalg.eigvals(A), np.diagonal(A, axis1=1, axis2=2)])
         rates: FloatArray = np.abs(both).max(axis=1, initial=0.0)
         if (stiff := rates > FASTEST).any():

@@ -52,6 +52,9 @@ def run(args: argparse.Namespace) -> None:
     if target.exists() and not args.force:
         raise InputError(target, "exists", allowed="another -o, or --force to replace it")
     content = _content(args, target)
+    car = content["vehicle"].get("model", "").partition(":")[0]
+    if car and not target.with_name(car).exists():  # the catalog's own vehicle, to be edited
+        write_text(target.with_name(car), (CATALOG / car).read_text(encoding="utf-8"))
     study = Study.from_dict(content | {"name": name}, source=str(target), folder=target.parent)
     if args.model or args.departures:
         study_source(study)  # refused now, and not when the file is run

@@ -363,7 +363,9 @@ def measures_of(results: StudyResults, vehicles: Sequence[str | VehicleModel], s
 
     values = {name: results.measures[name] for name in _MARGINS if name in results.measures}
     if vehicles:
-        pairs = [[measure(name, asked) for name in vehicle_measures(asked, results.scenarios)] for asked in vehicles]
+        pairs = [
+            [measure(name, str(asked)) for name in vehicle_measures(asked, results.scenarios)] for asked in vehicles
+        ]
         S, comfortable = np.array(pairs).swapaxes(0, 1)
         values |= {"S_worst": S.max(axis=0), "comfortable_worst": comfortable.min(axis=0)}
     return values | {name: measure(name, name) for name in standards}

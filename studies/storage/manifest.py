@@ -18,12 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from ldctoolkit.checked_files import parse_json, read_regular, without_checksum
 from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
+from ldctoolkit.vehicle import VehicleModel
 from ldctoolkit.version import DECISIVE, versions
 
 from ..design import Design
 from ..design_space import load_laws
 from ..standards import VEHICLES
-from ..study_file import Study
+from ..study_file import Study, load_vehicle_model
 from .checked_parts import difference_texts
 from .folder_files import read_bytes, read_parquet, write_json, write_parquet
 
@@ -187,6 +188,8 @@ class Manifest(BaseModel):
     inputs: dict[str, Any]  # What decides the numbers of any design
     seed: int
     laws: dict[str, str] = {}  # Content of the code of laws that are not the toolkit's
+    # Where vehicle models are, from the working directory, and their identity, by what the study calls them
+    vehicle_models: dict[str, tuple[str, str]] = {}
     versions: dict[str, str]  # Packages
     python: str
     machine: Machine
@@ -218,12 +221,6 @@ class Manifest(BaseModel):
         content = study.content()
         for key in ("model", "departures", "table"):
             content["scenarios"][key] = PurePath(content["scenarios"][key]).name
-        place = study.folder  # where files of vehicle models are, from the working directory
-        if ".py:" in study.vehicle_model:
-            content["vehicle"]["model"] = (place / study.vehicle_model).as_posix()
-        content["ranking"]["vehicles"] = [
-            (place / name).as_posix() if ".py:" in name else name for name in study.ranking.vehicles
-        ]
         return cls(
             study=content,
             study_hash=study.hash,
@@ -239,6 +236,9 @@ class Manifest(BaseModel):
             inputs=study.inputs(),
             seed=study.seed,
             laws=study.laws(),
+            vehicle_models={
+                name: ((study.folder / name).as_posix(), model.identity) for name, model in study.vehicle_models.items()
+            },
             versions=dict(versions((*DECISIVE, "polars", "pydantic", "loky"))),
             python=platform.python_version(),
             machine=Machine(
@@ -283,20 +283,23 @@ class Manifest(BaseModel):
         load_laws(self.study, Path(), {})
         classes: dict[str, Any] = {name: with_content(name, content) for name, content in self.laws.items()}
         changed = [name for name, kind in classes.items() if kind is None]
+        models: dict[str, VehicleModel] = {}
+        for name, (place, identity) in self.vehicle_models.items():
+            text = load_vehicle_model("vehicle model", place if ".py:" in name else name, Path(), models)
+            models[name] = models[text]
+            if models[name].identity != identity:
+                raise StoreError(f"vehicle model {name!r}", "its code has changed since the study was run", hint=_AGAIN)
         if not changed:
-            study = Study.from_dict(self.study, source="study", classes=classes)
+            study = Study.from_dict(self.study, source="study", classes=classes, models=models)
             # a law inside another is the present one of its name
             changed = [name for name, content in study.laws().items() if self.laws.get(name) != content]
-            if study.content()["vehicle"].get("model_code") != self.study["vehicle"].get("model_code"):
-                what = f"vehicle model {study.vehicle_model!r}"
-                raise StoreError(what, "its code has changed since the study was run", hint=_AGAIN)
         if changed:
             raise StoreError(f"law {changed[0]!r}", "its code has changed since the study was run", hint=_AGAIN)
         return study
 
     def _without_models(self) -> dict[str, Any]:
         """The study without vehicle models, to read its numbers alone."""
-        vehicle = {key: value for key, value in self.study["vehicle"].items() if key not in ("model", "model_code")}
+        vehicle = {key: value for key, value in self.study["vehicle"].items() if key != "model"}
         names = [name for name in self.study["ranking"]["vehicles"] if name in VEHICLES]
         return self.study | {"vehicle": vehicle, "ranking": self.study["ranking"] | {"vehicles": names}}
 

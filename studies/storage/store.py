@@ -96,7 +96,8 @@ class Store:
                 for name, content in manifest.laws.items()
                 if former.laws.get(name, content) != content
             ]
-            was, now = (m.study["vehicle"].get("model_code") for m in (former, manifest))
+            name = study.vehicle_model
+            was, now = (m.vehicle_models.get(name, ("", ""))[1] for m in (former, manifest))
             if (others := former.other_versions()) or was != now:
                 what = f"was made with {others}" if others else "the vehicle model has changed since the last run"
                 notices = [f"{what}; everything is computed anew"]
