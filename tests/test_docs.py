@@ -46,7 +46,7 @@ LONG = ("docs/gallery/", "docs/how-to/reading", "docs/explanation/risk", "docs/e
 PRINTED = {
     "docs/explanation/closed-loop.md": 7,
     "docs/explanation/plant-options.md": 1,
-    "docs/how-to/my-fmu.md": 2,
+    "docs/how-to/my-fmu.md": 3,
     "docs/reference/metrics.md": 4,
     "docs/how-to/reviewing-a-design.md": 2,
 }

@@ -37,6 +37,7 @@ VARIABLES = [
     ("status", "output", "Integer", ""),
     ("class", "parameter", "Integer", 'start="1"'),
 ]  # fmt: skip
+ON_TIME = "if (fabs(t - v[10]) > 1e-9) { return 3; } v[10] = t + h;"  # each step where the one before ended
 WEIGHTED = "v[4] = v[9] * v[12] * (v[5]*v[0] + v[6]*v[1] + v[7]*v[2] + v[8]*v[3]);"
 
 
@@ -103,12 +104,14 @@ def test_exported_laws_taken_in_again_give_the_same(name: str, setup: str, tmp_p
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize("step", [None, 0.05, 0.01])
 def test_a_fmu_with_names_of_its_own(version: str, step: float | None, tmp_path: Path) -> None:
-    path = build(tmp_path / "my law.fmu", VARIABLES, f"v[10] += h; {WEIGHTED} return 0;", version=version)
+    path = build(tmp_path / "my law.fmu", VARIABLES, f"{ON_TIME} {WEIGHTED} return 0;", version=version)
     law = ldc.FmuLaw(path, IN, output="delta", step=step)
     assert (law.name, law.title) == ("my_law", "My law (FMU)")
     expected = simulate(Constant(F=F), SCENARIOS, y_s=0.1)
     for _ in range(2):  # instances begin anew
-        np.testing.assert_allclose(simulate(law, SCENARIOS, y_s=0.1).S, expected.S, rtol=0.0, atol=1e-12)
+        outcome = simulate(law, SCENARIOS, y_s=0.1)
+        np.testing.assert_allclose(outcome.S, expected.S, rtol=0.0, atol=1e-12)
+        np.testing.assert_array_equal(outcome.status, expected.status)
 
 
 def test_steps_within_a_sample_hold_the_inputs(tmp_path: Path) -> None:
@@ -177,6 +180,9 @@ def test_c_code_of_ones_own(tmp_path: Path) -> None:
     outcome = simulate(ldc.CLaw(tmp_path / "mine.c"), SCENARIOS, y_s=0.1)
     driven = outcome.status[outcome.status != EventStatus.NEVER_TRIGGERED]
     assert {*driven.tolist()} == {EventStatus.SOLVER_FAILED}
+    content = content_of(type(ldc.CLaw(tmp_path / "mine.c")))
+    (tmp_path / "table.h").write_text("")  # it may be included
+    assert content_of(type(ldc.CLaw(tmp_path / "mine.c"))) not in ("", content)
 
 
 def test_the_content_of_files_is_the_identity(fmu: Path, tmp_path: Path) -> None:
