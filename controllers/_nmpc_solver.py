@@ -10,92 +10,17 @@ model with a shortened step of the commands, until the merit falls. Hard limits 
 every iterate meets them. With `move_blocks` the commands are held over each move, and the QP has the moves alone.
 """
 
-import contextlib
 import dataclasses
 import functools
-import hashlib
-import os
-import platform
-import shutil
-import subprocess
-import sys
-import tempfile
 import threading
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.compiling import line
-from ldctoolkit.errors import InputError
-from ldctoolkit.surroundings import cache_folder, private
+from ldctoolkit.casadi_code import compiled
 
 from ._nmpc_model import Formulation
-
-CODE, CACHE = "LDC_NMPC_CODE", "LDC_NMPC_CACHE"
-_OPTIONS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
-
-
-def compiled(functions: tuple[Any, ...], name: str) -> tuple[Any, ...]:
-    """The functions from compiled C code, or as they are where that is switched off or does not work."""
-    import casadi as ca
-
-    choice = os.environ.get(CODE, "") or "auto"
-    if choice not in ("auto", "vm"):
-        raise InputError(CODE, value=choice, allowed=("auto", "vm"))
-    library = _library(functions, name) if choice == "auto" else None
-    if library is None:
-        if choice == "auto":
-            line(
-                "predictive controllers run in CasADi's virtual machine, three to four times slower than compiled: "
-                "no C compiler (cc, gcc, clang), or no folder of one's own for its code"
-            )
-        return functions
-    try:
-        return tuple(ca.external(function.name(), str(library)) for function in functions)
-    except RuntimeError:  # a damaged file, made anew by the next process, or a folder that nothing may run from
-        with contextlib.suppress(OSError):
-            library.unlink(missing_ok=True)
-        return functions
-
-
-def _library(functions: tuple[Any, ...], name: str) -> Path | None:
-    """The compiled library, made if it is not there yet; None where it cannot be made, or kept from others."""
-    compiler = None if sys.platform == "win32" else shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
-        return None
-    import casadi as ca
-
-    generator = ca.CodeGenerator(name)
-    for function in functions:
-        generator.add(function)
-    text = str(generator.dump())
-    key = hashlib.sha256("\n".join([compiler, *_OPTIONS, platform.platform(), text]).encode()).hexdigest()[:24]
-    try:
-        folder = Path(os.environ.get(CACHE) or cache_folder())
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        target = folder / f"{name}-{key}.so"
-        if not private(folder):
-            return None
-        if not private(target):
-            _compile(compiler, text, target)
-    except (OSError, RuntimeError, subprocess.SubprocessError):
-        return None
-    return target
-
-
-def _compile(compiler: str, text: str, target: Path) -> None:
-    """Compile beside the target and rename, so that half a library is never seen."""
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".compile-") as folder:
-        source, library = Path(folder, "code.c"), Path(folder, "code.so")
-        source.write_text(text, encoding="utf-8")
-        command = [compiler, *_OPTIONS, "-o", str(library), str(source), "-lm"]
-        subprocess.run(command, check=True, capture_output=True, timeout=300)
-        library.chmod(0o700)
-        with contextlib.suppress(FileExistsError):
-            library.replace(target)
-
 
 MAX_ITERATIONS: Final = 60
 _STEP_NEWTON: Final = 1e-5  # [rad] the error after a full Newton step is the square of it, up to a factor

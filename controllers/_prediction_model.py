@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.errors import UnknownNameError
+from ldctoolkit.casadi_code import Names
 from ldctoolkit.vehicle.bicycle import Plant
 from ldctoolkit.vehicle.discretization import expm
 
@@ -20,21 +20,6 @@ TURNED: Final = 0.97  # and the front tyres, turned by delta, up to this
 
 STATES: Final = ("e_y", "e_y_rate", "e_psi", "e_psi_rate")
 PREVIOUS: Final = "previous"  # the last state of z, where it is used: the command of the sample before
-
-
-class Names:
-    """CasADi expressions by name; another name is an error that proposes the nearest."""
-
-    def __init__(self, path: str, **expressions: Any) -> None:
-        self.__dict__.update(expressions)
-        self.__path = path
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        names = [key for key in self.__dict__ if not key.startswith("_")]
-        names += [key for key in vars(type(self)) if not key.startswith("_")]
-        raise UnknownNameError(f"{self.__path}.{name}", "no such name", allowed=names)
 
 
 class Vehicle(Names):

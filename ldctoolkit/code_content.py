@@ -21,6 +21,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from ldctoolkit.errors import InputError, raised
+
 _INSTALLED: Final = frozenset({"site-packages", "dist-packages"})  # folders of libraries
 
 _GENERATED: Final = frozenset(
@@ -40,21 +42,6 @@ def content_of(kind: object) -> str:
 def modules_of(kind: object) -> set[str]:
     """Names of the designer's modules that a class and what it refers to come from."""
     return _hashed(kind)[1]
-
-
-def pickled(content: object, modules: Iterable[str]) -> bytes:
-    """An object with what it holds of some modules by value: another process needs none of their files."""
-    import cloudpickle
-
-    known = {*cloudpickle.list_registry_pickle_by_value()}
-    by_value = [sys.modules[name] for name in sorted(modules) if name in sys.modules and name not in known]
-    for module in by_value:
-        cloudpickle.register_pickle_by_value(module)
-    try:
-        return bytes(cloudpickle.dumps(content))
-    finally:
-        for module in by_value:
-            cloudpickle.unregister_pickle_by_value(module)
 
 
 def _top(module: str | None) -> str:
@@ -286,3 +273,59 @@ def _imports(code: types.CodeType) -> set[tuple[str, int]]:
                 imports.add((str(step.argval), before[0]))
             before = [before[1], step.argval]
     return imports
+
+
+def pickled_by_value(content: object, modules: Iterable[str]) -> bytes:
+    """An object as bytes, with its classes of some modules by value."""
+    import cloudpickle
+
+    known = {*cloudpickle.list_registry_pickle_by_value()}
+    by_value = [sys.modules[name] for name in sorted(modules) if name in sys.modules and name not in known]
+    for module in by_value:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        return bytes(cloudpickle.dumps(content))
+    finally:
+        for module in by_value:
+            cloudpickle.unregister_pickle_by_value(module)
+
+
+@functools.lru_cache(maxsize=64)
+def _loaded(path: Path, text: str) -> types.ModuleType:
+    """The module of a file with this text."""
+    name = f"{path.stem}_{hashlib.sha256(f'{path}{text}'.encode()).hexdigest()[:8]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    sys.path.insert(0, str(path.parent))  # it may import its neighbours
+    try:
+        exec(compile(text, str(path), "exec"), vars(module))
+    except BaseException:
+        del sys.modules[name]
+        raise
+    finally:
+        sys.path.remove(str(path.parent))
+    return module
+
+
+def from_file(path: str, name: str, folder: Path, allowed: str) -> Any:
+    """What a designer's file defines, by ``my_file.py:Name``; the file is relative to a folder.
+
+    Raises `InputError` at `path` for a name of another form, a file that is not there or raises, and a name that it
+    does not have.
+    """
+    file, colon, attribute = name.rpartition(":")
+    if not (colon and file.endswith(".py") and attribute.isidentifier()):
+        raise InputError(path, value=name, allowed=allowed)
+    target = (folder / file).resolve()
+    try:
+        module = _loaded(target, target.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        raise InputError(path, "the file cannot be read", value=name, allowed=allowed) from None
+    except Exception as error:  # whatever a designer's code raises
+        raise InputError(path, raised(error), value=name, allowed=allowed) from error
+    if not hasattr(module, attribute):
+        names = [key for key, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
+        raise InputError(path, f"{file} has no {attribute}", value=name, allowed=names)
+    return getattr(module, attribute)

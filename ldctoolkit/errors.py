@@ -8,9 +8,12 @@ builtin that a caller would expect, so ``except ValueError`` keeps working.
 import difflib
 import functools
 import inspect
+import itertools
 import re
-from collections.abc import Collection, Iterable
+import traceback
+from collections.abc import Collection, Iterable, Sequence
 from os import PathLike
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Final, Self, TypeVar, get_args
 
@@ -206,9 +209,17 @@ def nearest(name: str, allowed: Iterable[str], listing: str = "") -> str:
     """
     names = sorted(allowed)
     listing = f"allowed: {listing or ', '.join(names)}"
+    close = closest(name, names)
+    return f"did you mean '{close}'? ({listing})" if close else listing
+
+
+def closest(name: str, names: Sequence[str], cutoff: float = 0.5) -> str:
+    """The name that a mistyped one resembles by a share of its letters or more, whatever its case; or an empty text."""
     lower = {word.lower(): word for word in reversed(names)}
-    close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
-    return f"did you mean '{lower[close[0]]}'? ({listing})" if close else listing
+    for words, share in ((lower, max(cutoff, 0.6)), ([word for word in lower if len(word) > 3], cutoff)):
+        if close := difflib.get_close_matches(name.lower(), words, n=1, cutoff=share):
+            return lower[close[0]]
+    return ""  # short words have two letters in common by chance
 
 
 def first_line(error: BaseException) -> str:
@@ -231,3 +242,26 @@ def plain(value: Any) -> Any:
     """A NumPy scalar as the Python number it holds, anything else as it is: for checks and for messages."""
     is_scalar = type(value).__module__ == "numpy" and getattr(value, "shape", None) == ()
     return value.item() if is_scalar else value
+
+
+_OURS: Final = tuple(Path(__file__).resolve().parents[1] / package for package in ("ldctoolkit", "studies"))
+_LONGEST_LINE: Final = 500
+
+
+def raised(error: BaseException) -> str:
+    """What was raised, in one line, with the law's own file and line; messages of the toolkit as they are."""
+    text = " ".join(f"{error}".encode("utf-8", "backslashreplace").decode().split())
+    if not isinstance(error, LdcError):
+        text = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    if len(text) > _LONGEST_LINE:
+        text = f"{text[: _LONGEST_LINE - 4]} ..."
+
+    def is_ours(frame: traceback.FrameSummary) -> bool:
+        return any(Path(frame.filename).resolve().is_relative_to(folder) for folder in _OURS)
+
+    # the innermost line in the file that the toolkit called
+    frames = list(itertools.dropwhile(is_ours, traceback.extract_tb(error.__traceback__)))
+    inside = [frame for frame in frames if frame.filename == frames[0].filename]
+    if not inside or isinstance(error, LdcError):
+        return text
+    return f"{text} ({Path(inside[-1].filename).name}, line {inside[-1].lineno})"

@@ -4,9 +4,6 @@ A type checker finds these mistakes too; here they end in one message that names
 """
 
 import dataclasses
-import itertools
-import traceback
-from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -24,31 +21,11 @@ from ldctoolkit.control import (
     SteeringLaw,
     check_class,
 )
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import InputError
+from ldctoolkit.errors import raised as raised
 
-_OURS = tuple(Path(__file__).resolve().parents[1] / package for package in ("ldctoolkit", "studies"))
-_LONGEST_LINE = 500
 _LONGEST_AGE = 10.0  # [s] of what is seen: a law may ask for the lane where it was seen
 _STATUS_OF_A_STEP = (EventStatus.OK, EventStatus.SOLVER_FAILED, EventStatus.BEYOND_DELTA_MAX)
-
-
-def raised(error: BaseException) -> str:
-    """What was raised, in one line, with the law's own file and line; messages of the toolkit as they are."""
-    text = " ".join(f"{error}".encode("utf-8", "backslashreplace").decode().split())
-    if not isinstance(error, LdcError):
-        text = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    if len(text) > _LONGEST_LINE:
-        text = f"{text[: _LONGEST_LINE - 4]} ..."
-
-    def is_ours(frame: traceback.FrameSummary) -> bool:
-        return any(Path(frame.filename).resolve().is_relative_to(folder) for folder in _OURS)
-
-    # the innermost line in the file that the toolkit called
-    frames = list(itertools.dropwhile(is_ours, traceback.extract_tb(error.__traceback__)))
-    inside = [frame for frame in frames if frame.filename == frames[0].filename]
-    if not inside or isinstance(error, LdcError):
-        return text
-    return f"{text} ({Path(inside[-1].filename).name}, line {inside[-1].lineno})"
 
 
 def declared_law(controller: type[Controller]) -> type | None:

@@ -5,17 +5,14 @@ What a study file names as ``FILE.py:NAME`` is loaded here too, whatever it is.
 
 import functools
 import hashlib
-import importlib.util
-import sys
 from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
-from pathlib import Path
 from typing import Any
 
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller, check_class
 from ldctoolkit.declared import undeclared_fields
-from ldctoolkit.errors import InputError, LdcError, UnknownNameError, first_line
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.version import entry_points
 
 GROUP = "ldctoolkit.controllers"
@@ -163,39 +160,9 @@ def controller_class(name: str) -> type[Controller]:
         return _registered[name]
     point = entry_points(GROUP).get(name)
     if point is None:
-        raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names())
+        hint = "a class of your own needs an entry point, or ldctoolkit.register(...) in each program"
+        raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names(), hint=hint)
     return _load(name, point)
-
-
-def from_file(text: str, folder: Path) -> Any:
-    """What a study file names as ``FILE.py:NAME``, its path relative to a folder; the file is run as it is now.
-
-    Raises `InputError` for another form, a file that cannot be run, or a name that it does not have.
-    """
-    file, separator, name = text.rpartition(":")
-    if not separator or not file.endswith(".py") or not name.isidentifier():
-        raise InputError(value=text, allowed="FILE.py:NAME")
-    path = (folder / file).resolve()
-    if not path.is_file():
-        raise InputError("", f"no such file in {folder}", value=file, allowed="a path relative to the study file")
-    module_name = f"{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"  # two folders may have one name
-    spec = importlib.util.spec_from_file_location(module_name, path)
-    module = importlib.util.module_from_spec(spec) if spec else None
-    if spec is None or spec.loader is None or module is None:
-        raise InputError("", "cannot be loaded", value=file)
-    sys.modules[module_name] = module
-    sys.path.insert(0, str(path.parent))  # what lies beside it can be imported
-    try:
-        exec(compile(path.read_bytes(), path, "exec"), vars(module))  # never from a cache of bytecode
-    except (Exception, SystemExit) as error:  # whatever a user's file raises
-        del sys.modules[module_name]
-        raise InputError("", f"cannot be loaded: {type(error).__name__}: {first_line(error)}", value=file) from error
-    finally:
-        sys.path.remove(str(path.parent))
-    if not hasattr(module, name):
-        names = [key for key, value in vars(module).items() if getattr(value, "__module__", "") == module_name]
-        raise InputError("", f"has no such name in {file}", value=name, allowed=names or "a name that it defines")
-    return getattr(module, name)
 
 
 @functools.cache

@@ -9,9 +9,9 @@ from typing import Final, Literal, get_args
 import numpy.typing as npt
 
 from ldctoolkit.declared import Declaration, check_declared, checked_seed, declarations, declared, short_repr
-from ldctoolkit.errors import CheckedArguments, InputError
-from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.vehicle import BicycleModel, Convention, Plant, VehicleParameters
+from ldctoolkit.errors import CheckedArguments, InputError, expect
+from ldctoolkit.plant_options import Mismatch, PlantOptions
+from ldctoolkit.vehicle import BicycleModel, Convention, Plant, VehicleModel, VehicleParameters
 
 InitialYawRate = Literal["path", "zero"]
 Start = Literal["steady", "printed"]
@@ -59,6 +59,9 @@ class Setup(CheckedArguments):
         until it will be, at the present lateral velocity, falls below `ttlc`.
     ttlc : float [s]
         That time to line crossing, up to 10; only of the trigger ``"ttlc"``.
+    vehicle_model : VehicleModel, optional
+        What is driven in place of the single track. Designs are still made for `vehicle`; it and `options.tyres` also
+        give the recorded path its heading before the trigger. Mismatch, `convention` and `start` keep their defaults.
 
     Examples
     --------
@@ -89,9 +92,11 @@ class Setup(CheckedArguments):
     ttlc: float = declared(
         TTLC, unit="s", above=0.0, upper=10.0, usual=(0.01, 10.0), description="time to line crossing at the trigger"
     )
+    vehicle_model: VehicleModel | None = None
 
     def __post_init__(self) -> None:
         check_declared(self)
+        expect("vehicle_model", self.vehicle_model, VehicleModel | None)
         if self.trigger == "distance" and self.ttlc != TTLC:
             raise InputError("ttlc", "with trigger 'distance'", value=self.ttlc, hint="allowed with trigger = 'ttlc'")
         object.__setattr__(self, "seed", checked_seed(self.seed))
@@ -103,6 +108,16 @@ class Setup(CheckedArguments):
                 value=self.convention,
                 allowed="'consistent'",
             )
+        if self.vehicle_model is not None:
+            options = self.options
+            for name, value, default in (
+                ("convention", self.convention, "consistent"),
+                ("start", self.start, "steady"),
+                ("mismatch", options.mismatch, Mismatch()),
+            ):
+                if value != default:
+                    hint = "they belong to the single track: the model brings its own"
+                    raise InputError(name, "with a vehicle model", value=value, allowed=repr(default), hint=hint)
 
     @property
     def ahead(self) -> float:

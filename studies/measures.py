@@ -18,11 +18,12 @@ from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import raised
 from ldctoolkit.metrics import comfortable_share
-from ldctoolkit.plant_options import Mismatch, PlantOptions
+from ldctoolkit.plant_options import Mismatch, PlantOptions, Tyres
 from ldctoolkit.review import design_margins
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover, Window, drive
+from ldctoolkit.vehicle import VehicleModel
 
 from .assessment import assess
 from .design import Design
@@ -45,7 +46,7 @@ def measured(
     results: StudyResults,
     table: MeasureTable,
     setup: Setup,
-    vehicles: Sequence[str] = (),
+    vehicles: Sequence[str | VehicleModel] = (),
     standards: Sequence[str] = (),
 ) -> StudyResults:
     """The results with the measures of their designs; missing measures are computed and added to the table.
@@ -68,8 +69,10 @@ def measured(
     return dataclasses.replace(results, measures=table.of(results.designs))
 
 
-def vehicle_measures(vehicle: str, scenarios: Scenarios) -> tuple[str, str]:
+def vehicle_measures(vehicle: str | VehicleModel, scenarios: Scenarios) -> tuple[str, str]:
     """Names of the mean S [m s] and the comfortable share of a named vehicle, on the first of these departures."""
+    if isinstance(vehicle, VehicleModel):
+        vehicle = f"{type(vehicle).__name__} {vehicle.identity}"
     content = hashlib.sha256()
     for array in first_of_each_side(scenarios, DEPARTURES).arrays():
         content.update(array.tobytes())
@@ -110,17 +113,27 @@ def _scores(designs: Sequence[Design], *, standard: str, setup: Setup) -> Sequen
 
 
 def _on_vehicle(
-    designs: Sequence[Design], *, vehicle: str, scenarios: Scenarios, setup: Setup, window: Window
+    designs: Sequence[Design], *, vehicle: str | VehicleModel, scenarios: Scenarios, setup: Setup, window: Window
 ) -> Sequence[FloatArray]:
     """Mean S [m s] and comfortable share of every design on a named vehicle; NaN where they are not known."""
-    fixed = {quantity: (factor, factor) for quantity, factor in VEHICLES[vehicle].items()}
-    # friction is of the road, not of the vehicle
-    mismatch = Mismatch(mu=setup.options.mismatch.mu, **fixed)
-    plant = dataclasses.replace(setup.options, mismatch=mismatch)
+    if isinstance(vehicle, VehicleModel):
+        plant = on_model(setup, vehicle)
+    else:
+        fixed = {quantity: (factor, factor) for quantity, factor in VEHICLES[vehicle].items()}
+        # friction is of the road, not of the vehicle
+        mismatch = Mismatch(mu=setup.options.mismatch.mu, **fixed)
+        plant = setup.on(dataclasses.replace(setup.options, mismatch=mismatch))
     drives = drive_on_plants(designs, [plant], scenarios, setup, window)
     driven = drives.status[0] != EventStatus.INVALID
     S = np.where(driven, drives.S[0], 0.0).sum(axis=1) / np.maximum(driven.sum(axis=1), 1)
     return np.where(driven.any(axis=1), S, np.nan), drives.comfortable[0]
+
+
+def on_model(setup: Setup, model: VehicleModel) -> Setup:
+    """The setup with a vehicle model, which brings its own mass and tyres."""
+    options = dataclasses.replace(setup.options, mismatch=Mismatch(), tyres=Tyres())
+    kept: dict[str, Any] = {"convention": "consistent", "start": "steady"}
+    return dataclasses.replace(setup, options=options, vehicle_model=model, **kept)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,23 +163,25 @@ def trigger_speeds(takeovers: Iterable[Takeover]) -> tuple[float, float] | None:
 
 
 def drive_on_plants(
-    designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setup: Setup, window: Window,
-    advance: Callable[[int, int], None] | None = None,
+    designs: Sequence[Design], plants: Sequence[PlantOptions | Setup], scenarios: Scenarios, setup: Setup,
+    window: Window, advance: Callable[[int, int], None] | None = None,
 ) -> Drives:  # fmt: skip
     """Drive every design on every plant separately, so that no number depends on another.
 
-    The plants stand in for that of the setup. `advance` is called with the number of drives so far and of all.
+    A plant is options instead of those of the setup, or a setup of its own; designs know that of `setup`. `advance` is
+    called with the number of drives so far and of all.
     """
     shape = (len(plants), len(designs), scenarios.n)
     S, S_uncorrected = np.full(shape, np.nan), np.full(shape, np.nan)
     status = np.full(shape, EventStatus.INVALID, dtype=np.int8)
     comfortable = np.full(shape[:2], np.nan)
     failed = []
-    for k, options in enumerate(plants):
+    for k, plant in enumerate(plants):
         takeovers: dict[float, Takeover] = {}  # of one plant only: tables of a takeover are large
         for i, design in enumerate(designs):
             if design.y_s not in takeovers:
-                over = Takeover.build(scenarios, setup.on(options), y_s=design.y_s)
+                driven = plant if isinstance(plant, Setup) else setup.on(plant)
+                over = Takeover.build(scenarios, driven, y_s=design.y_s)
                 # designs know the actuator and the camera of the study, not the other ones
                 takeovers[design.y_s] = dataclasses.replace(over, plant=setup.plant(over.plant.v))
             over = takeovers[design.y_s]

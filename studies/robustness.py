@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 import statistics
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,11 +22,11 @@ from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover, Window
-from ldctoolkit.vehicle import Convention
+from ldctoolkit.vehicle import Convention, VehicleModel
 from ldctoolkit.version import versions
 
 from .design import Design, is_paper_design
-from .measures import drive_on_plants, first_of_each_side, trigger_speeds
+from .measures import drive_on_plants, first_of_each_side, on_model, trigger_speeds
 from .ranking.design_metrics import beyond_friction
 from .ranking.inference import SAME, degrees_of_freedom, error_parts, half_widths, lengths, row_means, spread_is_known
 from .ranking.verdict import OtherPlants
@@ -61,6 +61,13 @@ class OtherPlant:
     what: str  # The difference, with values and units
     options: PlantOptions
     adds: bool = True  # Whether it is harder than the study's plant; False if it is easier
+    model: VehicleModel | None = None  # What is driven in place of the single track
+
+    def setup(self, study: Setup) -> Setup:
+        """The study's setup on this plant."""
+        if self.model is None or self.model == study.vehicle_model:
+            return dataclasses.replace(study, options=self.options, vehicle_model=self.model)
+        return on_model(study, self.model)
 
 
 def other_plants(options: PlantOptions) -> tuple[OtherPlant, ...]:
@@ -296,16 +303,32 @@ class RobustnessTask:
     window: Window  # Of S
 
     @classmethod
-    def of(cls, results: StudyResults, ranking: Ranking, setup: Setup, per_side: int = PER_SIDE) -> RobustnessTask:
-        """The task of a study and its ranking."""
+    def of(
+        cls, results: StudyResults, ranking: Ranking, setup: Setup, per_side: int = PER_SIDE,
+        vehicles: Sequence[str | VehicleModel] = (),
+    ) -> RobustnessTask:  # fmt: skip
+        """The task of a study and its ranking; vehicle models among its `vehicles` are plants too."""
         scenarios = first_of_each_side(results.scenarios.take(results.drivable), per_side)
+        model = setup.vehicle_model
         has_residuals = bool((scenarios.sigma_y > 0).any() or (scenarios.sigma_v > 0).any())
         study_plant = OtherPlant(
-            "study", "Study\u2019s plant", "the plant that designs were ranked on", setup.options, False
+            "study", "Study\u2019s plant", "the plant that designs were ranked on", setup.options, False, model
         )
         plants, left_out = [study_plant], []
+        if model is not None:
+            what = "the single track that laws are designed on, in place of the vehicle model"
+            plants.append(OtherPlant("single-track", "Single track", what, setup.options, adds=False))
+        for own in vehicles:
+            if isinstance(own, VehicleModel) and own != model:
+                name = type(own).__name__
+                what = f"vehicle model {name} in place of the study\u2019s vehicle"
+                plants.append(OtherPlant(f"model-{name}", f"Vehicle {name}", what, setup.options, model=own))
         for plant in other_plants(setup.options):
+            plant = dataclasses.replace(plant, model=model)
             reason = impossible(plant, setup.convention, has_residuals)
+            theirs = plant.options.mismatch, plant.options.tyres
+            if model is not None and theirs != (setup.options.mismatch, setup.options.tyres):
+                reason = "the vehicle model brings its own mass and tyres"
             if reason:
                 left_out.append((plant.title, reason))
             else:
@@ -334,7 +357,7 @@ class RobustnessTask:
 def work_out(task: RobustnessTask) -> Robustness:
     """Simulate the designs of a task on its plants, and compute their stability margins."""
     selection, setup = task.chosen, task.setup
-    plants = [plant.options for plant in task.plants]
+    plants = [plant.setup(setup) for plant in task.plants]
     drives = drive_on_plants(selection.designs, plants, task.scenarios, setup, task.window)
     # means are comparable only over the same scenarios for every plant and design
     known = np.isfinite(drives.S)

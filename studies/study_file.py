@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -25,26 +25,69 @@ from pydantic import (
 )
 
 from ldctoolkit.checked_files import read_toml
-from ldctoolkit.code_content import content_of
+from ldctoolkit.code_content import from_file
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
-from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
+from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError, raised
 from ldctoolkit.metrics import MEAN_OF_ALL, UserMetric, declare, user_rows
 from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.registry import controller_class, controller_names, from_file, register
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
 from ldctoolkit.validation import Part, as_tuples, first_problem
-from ldctoolkit.vehicle import Convention
+from ldctoolkit.vehicle import Convention, VehicleModel
 from ldctoolkit.vehicle.bicycle import VehicleParameters
 
 from .design import Design
-from .design_space import DesignBlock, check_blocks
+from .design_space import DesignBlock, check_blocks, load_laws, named_laws
 from .requirements import SETS, criterion, metric, parse_requirement
-from .standards import standard_names
+from .standards import VEHICLES, standard_names
 
-VehicleName = Literal["light", "heavy", "soft", "stiff"]
+_MODEL: Final = "FILE.py:NAME of a VehicleModel, or an object of one"
+_models: Final[dict[str, VehicleModel]] = {}  # of this process, by what studies call them
+
+
+def load_vehicle_model(path: str, entry: Any, folder: Path | None, known: dict[str, VehicleModel]) -> str:
+    """What a study calls a vehicle model, given as an object, a class or FILE.py:NAME; the model into `known`.
+
+    Without a folder of files it is one that this process knows already.
+    """
+    text, model = (entry, known.get(entry)) if isinstance(entry, str) else ("", entry)
+    if isinstance(entry, str) and model is None:
+        model = _models.get(entry) if folder is None or ".py:" not in entry else None
+        model = from_file(path, entry, folder or Path(), _MODEL) if model is None else model
+    if isinstance(model, type) and issubclass(model, VehicleModel):
+        try:
+            model = model()
+        except TypeError as error:
+            raise InputError(path, raised(error), value=entry, allowed="a class whose fields have defaults") from None
+    if not isinstance(model, VehicleModel):
+        raise InputError(path, value=entry, allowed=_MODEL)
+    text = text or f"{type(model).__name__} {model.identity}"
+    known[text] = _models[text] = model
+    return text
+
+
+def _with_models(content: dict[str, Any], folder: Path | None, known: dict[str, VehicleModel]) -> dict[str, Any]:
+    """What a study file holds, with texts for its vehicle models."""
+    vehicle, ranking = content.get("vehicle"), content.get("ranking")
+    if isinstance(vehicle, dict) and "model" in vehicle:
+        rest = {key: value for key, value in vehicle.items() if key != "model"}
+        model = load_vehicle_model("vehicle.model", vehicle["model"], folder, known)
+        content = content | {"vehicle": rest, "vehicle_model": model}
+    elif content.get("vehicle_model"):
+        model = load_vehicle_model("vehicle_model", content["vehicle_model"], folder, known)
+        content = content | {"vehicle_model": model}
+    names = ranking.get("vehicles") if isinstance(ranking, dict) else None
+    if isinstance(ranking, dict) and isinstance(names, list | tuple):
+        models = [
+            load_vehicle_model(f"ranking.vehicles[{i}]", name, folder, known)
+            if not isinstance(name, str) or ":" in name or name in known
+            else name
+            for i, name in enumerate(names)
+        ]
+        content = content | {"ranking": ranking | {"vehicles": models}}
+    return content
 
 
 def _names(entry: Any) -> Any:
@@ -95,6 +138,12 @@ def read_table(kind: type, table: dict[str, Any], prefix: str = "") -> Any:
     return kind(**values)
 
 
+def _vehicle_name(name: str) -> str:
+    if name not in VEHICLES and name not in _models:
+        raise InputError(value=name, allowed=(*VEHICLES, "FILE.py:NAME of a VehicleModel"))
+    return name
+
+
 class RankingSettings(Part):
     """``[ranking]``."""
 
@@ -108,9 +157,9 @@ class RankingSettings(Part):
     # What a design must meet to be ranked: ``"a_y_peak_p95 <= 3.0"``, or the name of a set: ``"comfort"``
     require: Requirements = ()
     pareto: MetricNames = ("S", "needless", "a_y_peak_mean", "effort_mean")  # Metrics of the Pareto front
-    # Named vehicles that `S_worst` and `comfortable_worst` are the worst of. Empty for none; where a requirement, the
-    # front or the search requires one of the two, for all
-    vehicles: Annotated[tuple[VehicleName, ...], BeforeValidator(_names)] = ()
+    # Named vehicles, or vehicle models as FILE.py:NAME, that `S_worst` and `comfortable_worst` are the worst of. Empty
+    # for none; where a requirement, the front or the search requires one of the two, for all that have a name
+    vehicles: Annotated[Names, _each(_vehicle_name)] = ()
     # At most so many of the best designs are scored again on fresh scenarios; 0 for none
     finalists: int = Field(default=10, ge=0, le=1000)
     # At most so many values are added to a list of gains or thresholds, beyond the end at which the winner lies, and in
@@ -276,10 +325,7 @@ def _loaded_metrics(entry: Any, folder: Path) -> list[Any]:
     metrics = []
     for i, value in enumerate(entry if isinstance(entry, list | tuple) else [entry]):
         if isinstance(value, str):
-            try:
-                found = from_file(value, folder)
-            except InputError as error:
-                raise error.within(f"metrics[{i}]", ": ") from None
+            found = from_file(f"metrics[{i}]", value, folder, "FILE.py:NAME of a metric")
             value = dataclasses.replace(found, source=value) if isinstance(found, UserMetric) else found
         metrics.append(value)
     return metrics
@@ -311,6 +357,8 @@ class Study(Part):
     scenarios: ScenarioSettings = Field(default_factory=ScenarioSettings)
     simulation: SimulationSettings = Field(default_factory=SimulationSettings)
     vehicle: Annotated[VehicleParameters, BeforeValidator(_vehicle)] = Field(default_factory=VehicleParameters)
+    # What is driven in its place, ``vehicle.model`` of a file; a `VehicleModel`, or how it was called
+    vehicle_model: str = Field(default="", exclude=True)
     # What differs from the ideal plant; nothing by default
     plant: Annotated[PlantOptions, BeforeValidator(read_plant)] = Field(default_factory=PlantOptions)
     report: ReportSettings = Field(default_factory=ReportSettings)
@@ -320,6 +368,7 @@ class Study(Part):
     design: tuple[DesignBlock, ...]
 
     _folder: Path = PrivateAttr(default_factory=Path)
+    _models: dict[str, VehicleModel] = PrivateAttr(default_factory=dict)
 
     def __repr__(self) -> str:
         designs = f"searches {', '.join(sorted({law for block in self.design for law in block.laws}))}"
@@ -408,8 +457,9 @@ class Study(Part):
         content: dict[str, Any],
         *,
         source: str = "study",
-        folder: str | Path = ".",
+        folder: str | Path | None = None,
         classes: Mapping[str, type[Controller]] | None = None,
+        models: Mapping[str, VehicleModel] | None = None,
     ) -> Study:
         """Make a study from what a study file holds.
 
@@ -425,16 +475,26 @@ class Study(Part):
             Where a relative model path starts.
         classes : mapping, optional
             Classes of laws by their names; the others are looked up.
+        models : mapping, optional
+            Vehicle models by what the content calls them; the others are loaded from their files.
         """
+        known = dict(models or {})
         try:
+            content = load_laws(content, Path(folder or "."), laws := dict(classes or {}))
+            content = _with_models(content, None if folder is None else Path(folder), known)
             if "metrics" in content:
-                content = content | {"metrics": _loaded_metrics(content["metrics"], Path(folder))}
-            study = cls.model_validate(as_tuples(content), context=classes)
+                content = content | {"metrics": _loaded_metrics(content["metrics"], Path(folder or "."))}
+            study = cls.model_validate(as_tuples(content), context=laws)
+            study._models = known
+            study.setup()
+            if study.vehicle_model and (named := [name for name in study.vehicles if isinstance(name, str)]):
+                hint = "named vehicles, S_worst's if none are given, are changes of the single track"
+                raise InputError("ranking.vehicles", "with a vehicle model", value=named, allowed=_MODEL, hint=hint)
         except InputError as error:
             raise StudyError.of(error.within(source, ": ")) from None
         except ValidationError as error:
             raise StudyError.of(first_problem(error, content, cls, "study").within(source, ": ")) from None
-        study._folder = Path(folder)
+        study._folder = Path(folder or ".")
         return study
 
     @functools.cached_property
@@ -452,6 +512,7 @@ class Study(Part):
             convention=self.simulation.convention,
             options=self.plant,
             seed=self.seed,
+            vehicle_model=self._models.get(self.vehicle_model),
             **{field.name: getattr(self.simulation, field.name) for field in simulation_options()},
         )
 
@@ -466,10 +527,16 @@ class Study(Part):
         return tuple(name for name in standard_names() if any(text.startswith(name) for text in self._metrics))
 
     @property
-    def vehicles(self) -> tuple[VehicleName, ...]:
-        """Named vehicles that designs are driven on beside the study's own."""
+    def vehicles(self) -> tuple[str | VehicleModel, ...]:
+        """Named vehicles, and vehicle models, that designs are driven on beside the study's own."""
         worst = any(text.startswith(("S_worst", "comfortable_worst")) for text in self._metrics)
-        return self.ranking.vehicles or (get_args(VehicleName) if worst else ())
+        names = self.ranking.vehicles or (tuple(VEHICLES) if worst else ())
+        return tuple(self._models.get(name, name) for name in names)
+
+    @property
+    def vehicle_models(self) -> dict[str, VehicleModel]:
+        """Vehicle models by what the study calls them."""
+        return self._models
 
     @property
     def folder(self) -> Path:
@@ -488,7 +555,7 @@ class Study(Part):
 
     def with_content(self, content: dict[str, Any], source: str = "study") -> Study:
         """Another study of the same laws, with its files in the same place."""
-        return self.from_dict(content, source=source, folder=self._folder, classes=self.classes)
+        return self.from_dict(content, source=source, folder=self._folder, classes=self.classes, models=self._models)
 
     @property
     def classes(self) -> dict[str, type[Controller]]:
@@ -501,13 +568,18 @@ class Study(Part):
 
     def content(self) -> dict[str, Any]:
         """Everything in plain JSON types; `from_dict` reads it back."""
-        return self.model_dump(mode="json")
+        content = self.model_dump(mode="json")
+        if self.vehicle_model:
+            content["vehicle"]["model"] = self.vehicle_model
+        return content
 
     def inputs(self) -> dict[str, Any]:
         """What decides the numbers of any design: not which designs there are, the title, the report or the ranking."""
         content = self.content()
         same = {key: content[key] for key in ("seed", "simulation", "vehicle", "plant")}
         del same["vehicle"]["steering_ratio"]  # it decides no number of a run
+        if self.vehicle_model:  # an edit of its code is the same study, which is run anew
+            same["vehicle"]["model"] = type(self.vehicle_models[self.vehicle_model]).__name__
         if same["simulation"]["trigger"] == "distance":  # as before there was another
             del same["simulation"]["trigger"], same["simulation"]["ttlc"]
         keys = ["left", "right"] if self.scenarios.weights else []  # else a scenario is the same however many there are
@@ -520,10 +592,13 @@ class Study(Part):
         same = self.inputs()
         same["scenarios"] |= {"left": self.scenarios.left, "right": self.scenarios.right}
         same |= {"metrics": {metric.name: metric.code for metric in self.metrics}} if self.metrics else {}
+        if self.vehicle_model:
+            same["vehicle"]["model"] = self.vehicle_models[self.vehicle_model].identity
         if self.search is None:
             return same | {"designs": [design.id for design in self.designs]}
         content = self.content()
-        same |= {key: content[key] for key in ("search", "design")}
+        tables = [{key: table[key] for key in table if key != "files"} for table in content["design"]]
+        same |= {"search": content["search"], "design": tables}
         return same | ({"laws": laws} if (laws := self.laws()) else {})
 
     @property
@@ -592,7 +667,7 @@ def study(
     Parameters
     ----------
     *designs : Controller, type, str or dict
-        Designs, classes or names of laws, or what a ``[[design]]`` table holds, as ``{"law": "lqr", "gains": {...}}``.
+        Designs, classes or names of laws, or what a ``[[design]]`` table holds, as ``{"law": LQR, "gains": {...}}``.
     y_s : float or (k,) float [m]
         Trigger thresholds of those that bring none.
     name : str
@@ -635,19 +710,12 @@ def study(
 def _block(design: object, y_s: float | Sequence[float], classes: dict[str, type[Controller]]) -> dict[str, Any]:
     """A ``[[design]]`` table."""
     if isinstance(design, dict):
-        return {"y_s": y_s, **design}
-    law = type(design) if isinstance(design, Controller) else design
-    if isinstance(law, type) and issubclass(law, Controller):
-        if law.name not in controller_names() or controller_class(law.name) is not law:
-            register(law)
-        if content_of(classes.setdefault(law.name, law)) != content_of(law):
-            raise InputError("design", "names two different laws", value=law.name, allowed="a name for each")
-        law = law.name
-    if not isinstance(law, str):
-        allowed = "a controller, its class, the name of a law, or a design table, each an argument of its own"
+        return named_laws({"y_s": y_s, **design}, classes)
+    table = named_laws({"law": design}, classes)
+    if not isinstance(table["law"], str):
+        allowed = "a controller, its class or name, or {'law': ..., 'gains': {...}}, each an argument of its own"
         raise InputError("design", value=design, allowed=allowed)
-    gains = {gain.name: getattr(design, gain.name) for gain in design.gains()} if isinstance(design, Controller) else {}
-    return {"law": law, "gains": gains} | ({} if law == "none" else {"y_s": y_s})
+    return {"gains": {}, **table} | ({} if table["law"] == "none" else {"y_s": y_s})
 
 
 def catalog_names() -> tuple[str, ...]:

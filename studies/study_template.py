@@ -20,7 +20,13 @@ from .study_file import SimulationSettings, Study
 
 Content = dict[str, Any]
 
-_EXAMPLES: Final = {"delta_max": 0.5, "rate_max": 0.33, "left": 500, "right": 500}  # TOML has no null
+_EXAMPLES: Final = {
+    "model": "my_car.py:Car",
+    "delta_max": 0.5,
+    "rate_max": 0.33,
+    "left": 500,
+    "right": 500,
+}  # TOML has no null
 
 _ALWAYS: Final = ("model", "left", "right")  # set always: their defaults depend on whether a table is replayed
 
@@ -29,6 +35,8 @@ def study_text(study: Study, about: Sequence[str] = ()) -> str:
     """The study file, a comment at every key, of a study whose tables name one law each, without a sample."""
     content = study.content()
     usual = Study.from_dict({"name": "x", "design": [{"law": "none"}]}).content() | {"name": None}
+    for table in (content, usual):
+        table["vehicle"].setdefault("model", None)
     designs = content.pop("design")
     keys = _table("", content, usual, Study, read_toml(Path(__file__).with_name("study_keys.toml"), StudyError))
     note = (
@@ -44,9 +52,9 @@ def _table(path: str, table: Content, usual: Content, owner: type, about: Conten
     for key, value in table.items():
         if key not in tables:
             unit, allowed = _declared(owner, key)
-            default = "" if path + key == "name" else f"default {_toml(usual[key])}"
+            default = "" if path + key == "name" else f"default {_toml(usual.get(key))}"
             shown = _EXAMPLES[key] if value is None else value
-            off = mark or "# " * (value is None or (value == usual[key] and key not in _ALWAYS))
+            off = mark or "# " * (value is None or (value == usual.get(key) and key not in _ALWAYS))
             yield _line(key, _toml(shown), [unit + about[key], allowed, default], off)
     for key, texts in tables.items():
         hint = get_type_hints(owner)[key]
@@ -63,6 +71,8 @@ def _declared(owner: Any, key: str) -> tuple[str, str]:
     kind = Setup if owner is SimulationSettings else owner
     if dataclasses.is_dataclass(kind) and key in (declared := declarations(kind)):
         return _unit(declared[key].unit), declared[key].in_files.limits
+    if not hasattr(owner, "model_fields"):
+        return "", ""
     info = owner.model_fields[key]
     signs = {"gt": ">", "ge": ">=", "le": "<=", "lt": "<"}
     bounds = [(sign, getattr(limit, name, None)) for limit in info.metadata for name, sign in signs.items()]

@@ -46,6 +46,7 @@ LONG = ("docs/gallery/", "docs/how-to/reading", "docs/explanation/risk", "docs/e
 PRINTED = {
     "docs/explanation/closed-loop.md": 7,
     "docs/explanation/plant-options.md": 1,
+    "docs/how-to/my-fmu.md": 2,
     "docs/reference/metrics.md": 4,
     "docs/how-to/reviewing-a-design.md": 2,
 }
@@ -83,7 +84,9 @@ def test_commands_and_study_files_of_a_page_are_read(page: str, tmp_path: Path) 
         table = tomllib.loads(text)
         if "metrics" in table:
             (tmp_path / "my_metrics.py").write_text(blocks(page, "python")[0], encoding="utf-8")
-        if "project" not in table and "offset" not in text:  # a package, and a study with the guide's own law
+        if "wheelbase" in table:
+            ldctoolkit.VehicleParameters.from_data_sheet(**table)
+        elif "project" not in table and "offset" not in text:  # a package, and a study with the guide's own law
             Study.from_dict({"name": "page", "design": [{"law": "none"}]} | table, folder=tmp_path)
     for line in commands(page):
         words = shlex.split(line.partition(" > ")[0], comments=True)

@@ -23,8 +23,8 @@ import pytest
 from markupsafe import Markup
 
 from helpers.cli import ROOT, TINY_STUDY, bad, good, ldc, python
-from ldctoolkit import LdcError, compiling, load_model, surroundings
-from ldctoolkit.controllers import LQR, _nmpc_solver
+from ldctoolkit import LdcError, casadi_code, compiling, load_model, surroundings
+from ldctoolkit.controllers import LQR
 from ldctoolkit.recordings.mdf_logs import read_channel_map
 from ldctoolkit.studies import load_study, read_manifest
 from ldctoolkit.studies.cli import main
@@ -211,15 +211,15 @@ def test_compiled_c_code_is_the_users_own(tmp_path: Path, monkeypatch: pytest.Mo
     x = casadi.SX.sym("x")
     functions = (casadi.Function("plus_one", [x], [x + 1]),)
     monkeypatch.setenv("LDC_NMPC_CACHE", str(tmp_path))
-    library = _nmpc_solver._library(functions, "planted")
+    library = casadi_code._library(functions, "planted")
     if library is None:
         pytest.skip("no C compiler")
     library.write_bytes(b"planted")
     library.chmod(0o777)
-    assert _nmpc_solver._library(functions, "planted") == library
+    assert casadi_code._library(functions, "planted") == library
     assert library.read_bytes()[:4] == b"\x7fELF" or sys.platform == "darwin"
     tmp_path.chmod(0o777)
-    assert _nmpc_solver._library(functions, "planted") is None
+    assert casadi_code._library(functions, "planted") is None
 
 
 # ------------------------------------------------------------------------------------------------ texts

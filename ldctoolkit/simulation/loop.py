@@ -10,8 +10,7 @@ import dataclasses
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
@@ -23,13 +22,13 @@ from ldctoolkit.control import (
     EventStatus,
     Law,
     LinearLaw,
+    LinearSteps,
     Preview,
     RecordedPath,
     SolverCalls,
     SolverLog,
     SteeringLaw,
 )
-from ldctoolkit.declared import checked_whole
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, expect
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
@@ -39,8 +38,8 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, TTLC, InitialYawRate, PlantKnowledge, Setup, Start, Trigger
 from ldctoolkit.simulation.kernel import data
+from ldctoolkit.simulation.stretches import SCENARIOS_A_TASK, in_threads, stretches
 from ldctoolkit.simulation.takeover import KeptPaths, Takeover, law_tables, shape_of
-from ldctoolkit.surroundings import usable_cores
 from ldctoolkit.vehicle import BicycleModel, VehicleParameters
 
 if TYPE_CHECKING:
@@ -104,8 +103,6 @@ class Trajectories(ReadOnly):
         >>> bool(paths.x[0, 0, 0] > 0.0), bool(y[0, 0] < 0.0)
         (True, True)
         """
-        from scipy.integrate import cumulative_simpson
-
         finite = np.isfinite(self.t)
         step = float(np.diff(self.t).max(initial=_FINE, where=finite[:, 1:]))
         parts = math.ceil(step / _FINE)
@@ -115,10 +112,18 @@ class Trajectories(ReadOnly):
         fine = np.column_stack([inside.reshape(t.shape[0], -1), t[:, -1]])
         v = np.where(np.isnan(self.v)[:, None], self.path.speed(fine), self.v[:, None])
         side = self.path.scenarios.side[:, None]
-        turn = cumulative_simpson(side * v * self.path.curvature(fine), x=fine, initial=0.0)
-        x, y = (cumulative_simpson(v * wave(turn), x=fine, initial=0.0)[:, ::parts] for wave in (np.cos, np.sin))
-        lane, e_y, e_psi = turn[:, ::parts], side * self.x[:, :, 0], side * self.x[:, :, 2]
+        _, x, y, lane = lane_centre(fine, v, side * self.path.curvature(fine))[:, :, ::parts]
+        e_y, e_psi = side * self.x[:, :, 0], side * self.x[:, :, 2]
         return x - e_y * np.sin(lane), y + e_y * np.cos(lane), lane + e_psi
+
+
+def lane_centre(t: FloatArray, v: FloatArray, curvature: FloatArray) -> FloatArray:
+    """Way, x, y and heading of what passes a lane's centre line from the origin on, at times t (n, k), (4, n, k)."""
+    from scipy.integrate import cumulative_simpson
+
+    turn = cumulative_simpson(v * curvature, x=t, initial=0.0)
+    rates = np.stack([v, v * np.cos(turn), v * np.sin(turn)])
+    return np.concatenate([cumulative_simpson(rates, x=np.stack([t] * 3), initial=0.0), turn[None]])
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -298,7 +303,6 @@ class Run:
 
 PathChoice = bool | npt.ArrayLike
 
-_SCENARIOS_A_TASK: Final = 1024  # Scenarios that a thread takes at a time
 _MOST_SCORES: Final = 2**21  # Scores of linear laws that one call of the compiled loop holds
 _DROP_BELOW: Final = 0.9  # Share of a batch that still runs, below which the others are dropped from it
 
@@ -411,7 +415,7 @@ def drive(
     plans : bool
         Keep the plans of a law that defines `plan`.
     """
-    rows = _path_rows(trajectories, takeover.scenarios.n)
+    rows = path_rows(trajectories, takeover.scenarios.n)
     law = _checked_law(controller, takeover)
     if isinstance(law, SteeringLaw):
         return _drive_general(law, takeover, controller.name, rows, threads, plans=plans)
@@ -462,7 +466,10 @@ def drive_many(
 
 def _checked_law(controller: Controller, takeover: Takeover) -> Law:
     check_controller(controller)
-    return check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
+    law = check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
+    if isinstance(law, LinearLaw) and takeover.setup.vehicle_model is not None:  # sample by sample, as any other
+        return dataclasses.replace(LinearSteps.of(law, takeover.plant), measured=True)
+    return law
 
 
 def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None) -> list[Run]:
@@ -487,7 +494,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
             out = score, diverged, failed
             entry.drive_any(scene, setting, table, times, bend, paths, path_row, blocks[first:last], *out)
 
-        _in_threads(work, blocks.size, threads, _SCENARIOS_A_TASK // 4 // data.LANES)
+        in_threads(work, blocks.size, threads, SCENARIOS_A_TASK // 4 // data.LANES)
 
     if not exactly:
         drive_any(np.arange(m), score, diverged, failed)
@@ -502,7 +509,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
             inputs = scene, exact, setting, table, times, bend, paths, exact_path_row
             entry.drive_lanes(*inputs, first, last, *out)
 
-        _in_threads(work, -(-m // data.LANES), threads, _SCENARIOS_A_TASK // data.LANES)
+        in_threads(work, -(-m // data.LANES), threads, SCENARIOS_A_TASK // data.LANES)
         if stiff.size:
             stiff_score, stiff_diverged, stiff_failed = np.empty_like(score), diverged.copy(), failed.copy()
             drive_any(stiff, stiff_score, stiff_diverged, stiff_failed)
@@ -518,18 +525,17 @@ def _drive_general(
     law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None, *, plans: bool = False
 ) -> Run:
     """Drive a law, solved for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
-    m, stiff = takeover.m, takeover.stiff
+    m = takeover.m
     paths, path_row, kept = takeover.empty_paths(rows, reused=rows is takeover.rows)
-    plants = [_Stretch(takeover, slice(0, stiff), np.zeros((3, 0, data.EXACT)), paths, path_row, threads)]
-    if stiff < m:
-        exact = np.ascontiguousarray(takeover.exact[:, stiff:])
-        plants.append(_Stretch(takeover, slice(stiff, m), exact, paths, path_row, threads))
+    plants = stretches(takeover, paths, path_row, threads)
     times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
     last, failed = takeover.delta_0.copy(), np.zeros(m, dtype=np.int64)
     beyond, alive = np.zeros(m, dtype=np.bool_), np.ones(m, dtype=np.bool_)
     batch: IntArray | slice = slice(None)  # The scenarios that the law still holds
     active = np.arange(m)  # Rows of the batch that go on
+    filtered = takeover.setup.options.sensors.kalman is not None
     state = law.init(m)
+    linear = isinstance(law, LinearSteps) and law.measured  # whose time is not a law's own
     step_seconds: list[float] = []
     sample = 0
     calls: list[tuple[IntArray, int, SolverCalls]] = []
@@ -540,10 +546,11 @@ def _drive_general(
             plant.look(sample, times, *shown)
         x, yaw_rate, heading, wheel = (values[batch] for values in shown)
         t, previous = takeover.start[batch] + sample * takeover.setup.dt, np.where(alive, last, 0.0)[batch]
-        preview = Preview(yaw_rate, heading, wheel)
+        frame = np.concatenate([plant.new_frame(sample) for plant in plants])[batch] if filtered else None
+        preview = Preview(yaw_rate, heading, wheel, frame)
         started = time.perf_counter()
         result = law.step(t, x, preview, previous.copy(), state)
-        step_seconds.append(time.perf_counter() - started)
+        step_seconds += [] if linear else [time.perf_counter() - started]
         delta, after, status = check_step(result, t.size, name)
         if plans and (plan := law.plan((x, preview, previous, state), after)) is not None:
             planned.append((takeover.rows[batch][active], plan[0], plan[1][active], plan[2][active]))
@@ -575,57 +582,10 @@ def _drive_general(
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls), planned=planned)
 
 
-class _Stretch:
-    """A range of the triggered scenarios in the compiled loops, sample by sample, in threads."""
-
-    def __init__(
-        self,
-        takeover: Takeover,
-        rows: slice,
-        exact: FloatArray,
-        paths: FloatArray,
-        path_row: IntArray,
-        threads: int | None,
-    ) -> None:
-        from ldctoolkit.simulation.kernel import block_table, entry
-
-        self.entry, self.setting, self.exact, self.paths = entry, takeover.setting, exact, paths
-        self.rows, self.recorded, self.threads = rows, takeover.recorded_bend[rows], threads
-        self.blocks = np.arange(-(-(rows.stop - rows.start) // data.LANES))
-        self.state = np.zeros((self.blocks.size, block_table.rings(self.setting)[-1]))
-        entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
-
-    def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
-        """What the law sees: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle (m,)."""
-        self.entry.look(self.setting, self.state, k, self.blocks, times, *(values[self.rows] for values in shown))
-
-    def go_on(self, k: int, command: FloatArray, alive: BoolArray) -> None:
-        """Drive to the next sample with the commands (m,); whether each scenario goes on into `alive` (m,)."""
-        commands = command[self.rows]
-
-        def work(first: int, last: int) -> None:
-            blocks = self.blocks[first:last]
-            self.entry.go_on(self.exact, self.setting, self.state, self.recorded, self.paths, k, blocks, commands)
-
-        # an exact step takes less time than to start a thread
-        _in_threads(work, self.blocks.size, 1 if self.exact.size else self.threads, _SCENARIOS_A_TASK // data.LANES)
-        going = self.state[:, data.ALIVE : data.ALIVE + data.LANES] > 0.0
-        self.blocks = np.flatnonzero(going.any(axis=1))
-        alive[self.rows] = going.ravel()[: commands.size]
-
-    def scores(self) -> tuple[FloatArray, BoolArray]:
-        """Scores (columns, rows), and which scenarios diverged (rows,)."""
-        first, last = data.SCORE, data.SCORE + data.SCORES * data.LANES
-        count, shape = self.rows.stop - self.rows.start, (-1, data.SCORES, data.LANES)
-        score = self.state[:, first:last].reshape(shape).swapaxes(0, 1).reshape(data.SCORES, -1)
-        diverged = self.state[:, data.DIVERGED : data.DIVERGED + data.LANES].ravel() > 0.0
-        return score[:, :count], diverged[:count]
-
-
 # ------------------------------------------------------------------------------------------------ paths, threads, runs
 
 
-def _path_rows(trajectories: PathChoice, n: int) -> IntArray | None:
+def path_rows(trajectories: PathChoice, n: int, name: str = "trajectories") -> IntArray | None:
     """Row numbers of the scenarios whose paths are kept; None for no paths at all."""
     if isinstance(trajectories, bool | np.bool_):
         return np.arange(n) if trajectories else None
@@ -633,24 +593,13 @@ def _path_rows(trajectories: PathChoice, n: int) -> IntArray | None:
     if rows.size == 0:
         rows = rows.astype(np.int64)
     if rows.ndim != 1 or rows.dtype.kind not in "iu":
-        raise InputError("trajectories", value=trajectories, allowed="true, false, or row numbers of scenarios")
+        raise InputError(name, value=trajectories, allowed="true, false, or row numbers of scenarios")
     outside = (rows < 0) | (rows >= n)
     if outside.any():
-        raise InputError("trajectories", "is no scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
+        raise InputError(name, "is no scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
     if np.unique(rows).size != rows.size:
-        raise InputError("trajectories", "a row number is given twice", allowed="each once")
+        raise InputError(name, "a row number is given twice", allowed="each once")
     return rows.astype(np.int64)
-
-
-def _in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
-    """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
-    firsts = range(0, count, least)
-    number = min(usable_cores() if threads is None else checked_whole("threads", threads, lower=1), len(firsts))
-    if number <= 1:
-        work(0, count)
-        return
-    with ThreadPoolExecutor(number) as pool:
-        list(pool.map(lambda first: work(first, min(first + least, count)), firsts))
 
 
 def recorded_run(takeover: Takeover) -> Run:

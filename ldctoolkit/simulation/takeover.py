@@ -24,6 +24,7 @@ from ldctoolkit.simulation.kernel import data
 from ldctoolkit.vehicle import Convention, Plant, SteadyState, VehicleParameters, discretize
 from ldctoolkit.vehicle.bicycle import GRAVITY, checked_speeds, error_dynamics_matrices, steady_cornering
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, filter_columns
+from ldctoolkit.vehicle.vehicle_model import RecordedTurn, VehicleModel, equations
 
 KeptPaths = tuple[FloatArray, IntArray, IntArray]  # paths of chosen rows, these, and which of them triggered
 
@@ -158,6 +159,7 @@ class Takeover:
     full_steps: IntArray
     rest: FloatArray  # (m,) [s] What remains after them, 0 <= rest < dt
     plant: Plant  # The nominal vehicle at the trigger speeds: what a design is prepared with
+    states: FloatArray  # (m, q) Start states of a vehicle model beyond the four; q = 0 without one
     spare: threading.local = dataclasses.field(default_factory=threading.local, repr=False, compare=False)
 
     @property
@@ -211,7 +213,8 @@ class Takeover:
     @functools.cached_property
     def stiff(self) -> int:
         """Leading rows that take Runge-Kutta steps: all but on the ideal plant, where a step hides what is fast."""
-        if not (self.setup.options.drives_exactly and self.setup.options.sensors.ideal):
+        options = self.setup.options
+        if not (options.drives_exactly and options.sensors.ideal) or self.setup.vehicle_model is not None:
             return self.m
         return int((_substeps(self.setup, self.plant.v) > data.STIFF).sum())
 
@@ -258,6 +261,12 @@ class Takeover:
     def recorded_motion(self, t: FloatArray, rows: IntArray | slice = slice(None)) -> tuple[FloatArray, FloatArray]:
         """State (n, k, 4) and steering angle (n, k) of recorded paths in their steady turns at times t (n, k)."""
         return _state(self.path.take(rows), self.every_vehicle.columns(rows), _steady(self.setup), t)
+
+    @functools.cached_property
+    def turn(self) -> RecordedTurn:
+        """The recorded paths at their triggers, with attitude and steering angle as they are taken over."""
+        turn = _turn(self.driven, self.vehicles, self.setup, self.start)
+        return dataclasses.replace(turn, e_psi=self.x_0[:, 2], e_psi_rate=self.x_0[:, 3], delta=self.delta_0)
 
     @functools.cached_property
     def deepest_before(self) -> FloatArray:
@@ -307,7 +316,7 @@ class Takeover:
         full = np.floor(remaining / dt).astype(np.int64)
         # neighbours share the lanes of the compiled loops: they should take as many substeps, and last about as long
         stiffness = _substeps(setup, np.where(triggered, at_trigger, np.inf))
-        if options.drives_exactly:
+        if options.drives_exactly and setup.vehicle_model is None:
             stiffness = np.where(stiffness > data.STIFF, stiffness, 0.0)
         order = np.lexsort((-full, -stiffness, ~triggered))
         rows = order[: int(triggered.sum())]
@@ -320,13 +329,18 @@ class Takeover:
         x_0, delta_0 = _state(driven, vehicles, setup, start)
         S_uncorrected, S_before = np.where(valid, [S_uncorrected, S_before], np.nan)
         return cls(
-            scenarios, setup, y_s, valid, path, rows, t_s, S_uncorrected, S_before, driven, vehicles, start, x_0,
-            delta_0, full_steps, rest, setup.plant(v),
+            scenarios, setup, y_s, valid, path, rows, t_s, S_uncorrected, S_before, driven, vehicles, start,
+            x_0[:, :4], delta_0, full_steps, rest, setup.plant(v), x_0[:, 4:],
         )  # fmt: skip
 
 
 def _state(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """State (m, 4) and steering angle (m,) with which the recorded path is driven at times t (m,); or (m, k)."""
+    """State (m, 4) and steering angle (m,) with which the recorded path is driven at times t (m,); or (m, k).
+
+    With a vehicle model, also its own states in the columns after the four.
+    """
+    if setup.vehicle_model is not None:
+        return equations(setup.vehicle_model).start(_turn(path, car, setup, t))
     e_psi, yaw_error, delta = _attitude(path, car, setup, t)
     offset = setup.vehicle.edge_offset
     return np.stack([path.lateral(t) + offset, path.lateral_rate(t), e_psi, yaw_error], axis=-1), delta
@@ -341,15 +355,41 @@ def _attitude(
     yaw_error = bend / v if setup.initial_yaw_rate == "path" else np.zeros_like(v)
     if setup.start == "printed":
         return np.arctan2(rate, v), yaw_error, car.steady_state(v, setup.convention).delta * (lane + bend / v)
-    dv = (v - path.speed(t - _SPEED_STEP)) / _SPEED_STEP if setup.options.speed == "profile" else np.zeros_like(v)
-    return car.turn(v, dv, rate, bend, lane, yaw_error, setup.options.tyres, setup.convention)
+    return car.turn(v, _speed_rate(path, setup, t), rate, bend, lane, yaw_error, setup.options.tyres, setup.convention)
+
+
+def _speed_rate(path: UncorrectedPath, setup: Setup, t: FloatArray) -> FloatArray:
+    """dv/dt of what is driven."""
+    v = path.speed(t)
+    return (v - path.speed(t - _SPEED_STEP)) / _SPEED_STEP if setup.options.speed == "profile" else np.zeros_like(v)
+
+
+def _turn(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray) -> RecordedTurn:
+    """The recorded paths at times t (m,), with the single track's attitude."""
+    e_psi, yaw_error, delta = _attitude(path, car, setup, t)
+    e_y, v = path.lateral(t) + setup.vehicle.edge_offset, path.speed(t)
+    moving = path.lateral_rate(t), path.lateral_acceleration(t), yaw_error, v, _speed_rate(path, setup, t)
+    return RecordedTurn(e_y, *moving, v * path.curvature(t), e_psi, delta)
 
 
 def _steady(setup: Setup) -> Setup:
-    """For the recorded path itself, whatever state the loop starts from."""
-    if (setup.start, setup.initial_yaw_rate) == ("steady", "path"):
+    """For the recorded path itself, whatever state the loop starts from, and on the single track."""
+    if (setup.start, setup.initial_yaw_rate, setup.vehicle_model) == ("steady", "path", None):
         return setup
-    return dataclasses.replace(setup, start="steady", initial_yaw_rate="path")
+    return dataclasses.replace(setup, start="steady", initial_yaw_rate="path", vehicle_model=None)
+
+
+def _model_substeps(over: Takeover, model: VehicleModel, slowest: FloatArray) -> FloatArray:
+    """Substeps a sample on a vehicle model, by its fastest time constant at the trigger and in straight driving."""
+    eq, turn, zero = equations(model), over.turn, np.zeros(over.m)
+    rate = np.full(over.m, _REACH / model.longest_step)
+    if not model.advances:
+        straight = RecordedTurn(zero, zero, zero, zero, slowest, zero, zero, zero, zero)
+        for x, delta, at in (
+            (np.column_stack([over.x_0, over.states]), over.delta_0, turn), (*eq.start(straight), straight),
+        ):  # fmt: skip
+            rate = np.maximum(rate, eq.fastest(x, np.column_stack([at.v, at.v_rate, at.yaw_rate, delta])))
+    return np.asarray(np.ceil(over.setup.dt * rate / _REACH))
 
 
 def _front_deepest(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t_end: FloatArray) -> FloatArray:
@@ -407,6 +447,8 @@ def _scene(over: Takeover) -> FloatArray:
         data.B_1: B[:, 1],
         data.E_1: E[:, 1],
     }
+    if setup.vehicle_model is not None:
+        columns[data.SUBSTEPS] = _model_substeps(over, setup.vehicle_model, slowest)
     columns |= {data.A_11 + j: A[:, 1, j + 1] for j in range(3)}
     columns |= {data.BEND + j: coefficient for j, coefficient in enumerate(bend_polynomial(p))}
     tail = [over.driven.modes_v, _earlier_frames(over), _filter(over)]
@@ -426,7 +468,7 @@ def _earlier_frames(over: Takeover) -> FloatArray:
     for j in range(frames.shape[1] // 2):
         t = over.start - (j + 1) * period
         frames[:, 2 * j] = over.driven.lateral(t) + over.setup.vehicle.edge_offset
-        frames[:, 2 * j + 1] = _attitude(over.driven, over.vehicles, over.setup, t)[0]
+        frames[:, 2 * j + 1] = _state(over.driven, over.vehicles, over.setup, t)[0][:, 2]
     return frames
 
 
@@ -437,7 +479,7 @@ def _filter(over: Takeover) -> FloatArray:
         return np.zeros((over.m, 0))
     first = over.x_0
     if over.plant.age > 0.0:
-        first = _state(over.driven, over.vehicles, over.setup, over.start - over.plant.age)[0]
+        first = _state(over.driven, over.vehicles, over.setup, over.start - over.plant.age)[0][:, :4]
     frame_samples = max(1, round(sensors.period / over.setup.dt))
     return np.concatenate([filter_columns(over.plant, sensors.kalman, frame_samples), first], axis=1)
 

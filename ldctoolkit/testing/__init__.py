@@ -1,4 +1,4 @@
-"""The contract that every controller keeps, as checks that its author runs in tests of their own; and that of a metric.
+"""The contracts of controllers, vehicle models and metrics, as checks that their authors run in tests of their own.
 
 Under pytest, subclass `ControllerContract`; without it, call `check_controller_contract`. Nothing here needs pytest.
 """
@@ -13,6 +13,7 @@ from ldctoolkit.testing.contract import (
 )
 from ldctoolkit.testing.metric_contract import check_metric
 from ldctoolkit.testing.subject import ContractSettings
+from ldctoolkit.testing.vehicle import check_vehicle_model
 
 __all__ = [
     "CHECKS",
@@ -22,5 +23,6 @@ __all__ = [
     "Fault",
     "check_controller_contract",
     "check_metric",
+    "check_vehicle_model",
     "contract_faults",
 ]

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.code_content import modules_of, pickled
+from ldctoolkit.code_content import modules_of, pickled_by_value
 from ldctoolkit.control import Controller, LinearLaw
 from ldctoolkit.declared import gain
 from ldctoolkit.errors import InputError, LdcError
@@ -81,7 +81,9 @@ def _faults(metric: UserMetric, paths: Paths) -> Iterator[tuple[str, str]]:
             "neighbours": lambda: checked_values(metric, paths.take(order))[order],
             "alone": lambda: np.concatenate([checked_values(metric, paths.take([i])) for i in order])[order],
             "side": lambda: checked_values(metric, mirrored),
-            "worker": lambda: checked_values(pickle.loads(pickled(metric, modules_of(metric.function))), paths),
+            "worker": lambda: checked_values(
+                pickle.loads(pickled_by_value(metric, modules_of(metric.function))), paths
+            ),
         }
         for check, again in others.items():
             if not np.array_equal(values, other := again(), equal_nan=True):

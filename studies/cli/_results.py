@@ -69,7 +69,7 @@ class Judged:
             from ..robustness import RobustnessTask, robustness_of, stored_of
 
             with progress_bar("driving the best on other plants", show=show and drive_plants):
-                task = RobustnessTask.of(results, ranking, study.setup())
+                task = RobustnessTask.of(results, ranking, study.setup(), vehicles=study.vehicles)
                 robustness = (robustness_of if drive_plants else stored_of)(folder, task)
         judgement = verdict(ranking, results, study.setup(), robustness, model)
         return cls(folder, manifest, study, results, ranking, robustness, judgement)

@@ -33,6 +33,7 @@ from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover
+from ldctoolkit.vehicle import VehicleModel
 
 from ..design import NO_CONTROL, Design
 from ..measures import DEPARTURES, first_of_each_side, vehicle_measures
@@ -362,13 +363,13 @@ _MARGINS: Final = ("gain_margin", "phase_margin")
 _OF_VEHICLES: Final = ("S_worst", "comfortable_worst")
 
 
-def measures_of(results: StudyResults, vehicles: Sequence[str], standards: Sequence[str]) -> Values:
+def measures_of(results: StudyResults, vehicles: Sequence[str | VehicleModel], standards: Sequence[str]) -> Values:
     """Margins, the worst numbers of named vehicles and shares of standards' cells, each (d,), as the run measured them.
 
     A number that is unknown on any of the vehicles is NaN. Raises `InputError` for what was not measured.
     """
 
-    def measure(name: str, asked: str) -> FloatArray:
+    def measure(name: str, asked: str | VehicleModel) -> FloatArray:
         if name not in results.measures:
             hint = "run the study with it in [ranking] into the same folder: only that is driven"
             raise InputError("ranking", "was not measured in this run", value=asked, hint=hint)
@@ -376,7 +377,9 @@ def measures_of(results: StudyResults, vehicles: Sequence[str], standards: Seque
 
     values = {name: results.measures[name] for name in _MARGINS if name in results.measures}
     if vehicles:
-        pairs = [[measure(name, asked) for name in vehicle_measures(asked, results.scenarios)] for asked in vehicles]
+        pairs = [
+            [measure(name, str(asked)) for name in vehicle_measures(asked, results.scenarios)] for asked in vehicles
+        ]
         S, comfortable = np.array(pairs).swapaxes(0, 1)
         values |= {"S_worst": S.max(axis=0), "comfortable_worst": comfortable.min(axis=0)}
     return values | {name: measure(name, name) for name in standards}

@@ -17,6 +17,7 @@ from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StudyError, expect
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS, scenario_metric
+from ldctoolkit.vehicle import VehicleModel
 
 from ..design import Design
 from ..requirements import SETS, criterion, metric, missed_by, requirements_of
@@ -25,7 +26,7 @@ from ..standards import standard_names
 from ..storage.checked_parts import differences
 from ..storage.folder_files import write_text
 from ..study_file import Study
-from ..tables import Table, to_csv, to_polars
+from ..tables import Table, to_csv, to_polars, to_text
 from .design_metrics import (
     design_metrics,
     drivable_results,
@@ -46,7 +47,7 @@ from .finalists import (
     no_fresh_scores,
 )
 from .inference import Inference, Resampled, infer, row_means, spread_is_known, tail_text
-from .verdict import depths, ranking_html
+from .verdict import TOP, depths, listed_positions, ranking_html, ranking_table
 
 if TYPE_CHECKING:
     import polars as pl
@@ -161,6 +162,10 @@ class Ranking(RankedDesigns, Frame):
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
         return table.select(*first, pl.exclude(first))
 
+    def __str__(self) -> str:
+        table = ranking_table(self, listed_positions(self, TOP))
+        return "\n".join((table.title, to_text(table), *(f"Warning: {warning}" for warning in self.warnings)))
+
     def _repr_html_(self) -> str:
         """HTML for a notebook."""
         return ranking_html(self)
@@ -179,7 +184,7 @@ class Ranking(RankedDesigns, Frame):
         pareto: Sequence[str] = (),
         rank_by: str = "S",
         setup: Setup | None = None,
-        vehicles: Sequence[str] = (),
+        vehicles: Sequence[str | VehicleModel] = (),
         standards: Sequence[str] = (),
     ) -> Ranking:
         """Rank the designs of a study.

@@ -12,7 +12,7 @@ import numpy as np
 
 import ldctoolkit.registry as registry
 from ldctoolkit.arrays import IntArray
-from ldctoolkit.code_content import content_of, modules_of, pickled
+from ldctoolkit.code_content import content_of, modules_of, pickled_by_value
 from ldctoolkit.control import Controller, EventStatus
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import UserMetric
@@ -298,11 +298,11 @@ def laws_to_send(kinds: Iterable[type[Controller]]) -> bytes:
     if not every:
         return b""
     try:
-        return pickled(registry.keyed(every), {name for kind in every for name in modules_of(kind)})
+        return pickled_by_value(registry.keyed(every), {name for kind in every for name in modules_of(kind)})
     except Exception:  # a class may hold anything
         every = [kind for kind in every if kind in registered]
     try:
-        return pickled(registry.keyed(every), {kind.__module__ for kind in every}) if every else b""
+        return pickled_by_value(registry.keyed(every), {kind.__module__ for kind in every}) if every else b""
     except Exception as error:
         names = ", ".join(kind.__name__ for kind in every)
         problem = f"registered controllers ({names}) cannot be sent to worker processes ({error})"
@@ -312,7 +312,7 @@ def laws_to_send(kinds: Iterable[type[Controller]]) -> bytes:
 def metrics_to_send(metrics: Sequence[UserMetric]) -> bytes:
     """Designers' metrics by value, as laws are sent."""
     try:
-        return pickled(tuple(metrics), {name for metric in metrics for name in modules_of(metric.function)})
+        return pickled_by_value(tuple(metrics), {name for metric in metrics for name in modules_of(metric.function)})
     except Exception as error:
         names = ", ".join(metric.name for metric in metrics)
         problem = f"metrics ({names}) cannot be sent to worker processes ({error})"

@@ -18,10 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from ldctoolkit.checked_files import parse_json, read_regular, without_checksum
 from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
+from ldctoolkit.vehicle import VehicleModel
 from ldctoolkit.version import DECISIVE, versions
 
 from ..design import Design
-from ..study_file import Study
+from ..design_space import load_laws
+from ..standards import VEHICLES
+from ..study_file import Study, load_vehicle_model
 from .checked_parts import difference_texts
 from .folder_files import read_bytes, read_parquet, write_json, write_parquet
 
@@ -185,6 +188,8 @@ class Manifest(BaseModel):
     inputs: dict[str, Any]  # What decides the numbers of any design
     seed: int
     laws: dict[str, str] = {}  # Content of the code of laws that are not the toolkit's
+    # Where vehicle models are, from the working directory, and their identity, by what the study calls them
+    vehicle_models: dict[str, tuple[str, str]] = {}
     versions: dict[str, str]  # Packages
     python: str
     machine: Machine
@@ -231,6 +236,9 @@ class Manifest(BaseModel):
             inputs=study.inputs(),
             seed=study.seed,
             laws=study.laws(),
+            vehicle_models={
+                name: ((study.folder / name).as_posix(), model.identity) for name, model in study.vehicle_models.items()
+            },
             versions=dict(versions((*DECISIVE, "polars", "pydantic", "loky"))),
             python=platform.python_version(),
             machine=Machine(
@@ -269,18 +277,31 @@ class Manifest(BaseModel):
         numbers can be read, but nothing can be driven again.
         """
         if not current:
-            return Study.from_dict(self.study, source="study")
+            return Study.from_dict(self._without_models(), source="study")
         if others := self.other_versions():
             raise StoreError("versions", f"the study was run with {others}", hint=_AGAIN)
+        load_laws(self.study, Path(), {})
         classes: dict[str, Any] = {name: with_content(name, content) for name, content in self.laws.items()}
         changed = [name for name, kind in classes.items() if kind is None]
+        models: dict[str, VehicleModel] = {}
+        for name, (place, identity) in self.vehicle_models.items():
+            text = load_vehicle_model("vehicle model", place if ".py:" in name else name, Path(), models)
+            models[name] = models[text]
+            if models[name].identity != identity:
+                raise StoreError(f"vehicle model {name!r}", "its code has changed since the study was run", hint=_AGAIN)
         if not changed:
-            study = Study.from_dict(self.study, source="study", classes=classes)
+            study = Study.from_dict(self.study, source="study", classes=classes, models=models)
             # a law inside another is the present one of its name
             changed = [name for name, content in study.laws().items() if self.laws.get(name) != content]
         if changed:
             raise StoreError(f"law {changed[0]!r}", "its code has changed since the study was run", hint=_AGAIN)
         return study
+
+    def _without_models(self) -> dict[str, Any]:
+        """The study without vehicle models, to read its numbers alone."""
+        vehicle = {key: value for key, value in self.study["vehicle"].items() if key != "model"}
+        names = [name for name in self.study["ranking"]["vehicles"] if name in VEHICLES]
+        return self.study | {"vehicle": vehicle, "ranking": self.study["ranking"] | {"vehicles": names}}
 
 
 def _now() -> str:

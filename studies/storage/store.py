@@ -102,8 +102,11 @@ class Store:
                 for metric in study.metrics
                 if codes.get(metric.name, metric.code) != metric.code
             ]
-            if others := former.other_versions():
-                notices = [f"was made with {others}; everything is computed anew"]
+            name = study.vehicle_model
+            was, now = (m.vehicle_models.get(name, ("", ""))[1] for m in (former, manifest))
+            if (others := former.other_versions()) or was != now:
+                what = f"was made with {others}" if others else "the vehicle model has changed since the last run"
+                notices = [f"{what}; everything is computed anew"]
                 _clear(folder, DESIGNS, FAILURES, TIMING_FILE, MEASURES, f"results/{PATTERN}")
             else:
                 # their steering ratios differ, which decide no run, but scores in standards

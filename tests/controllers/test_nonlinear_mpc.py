@@ -13,6 +13,7 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 
+import ldctoolkit.casadi_code as casadi_code
 import ldctoolkit.controllers._nmpc_solver as solver_module
 from helpers.closed_loop import DT, grid
 from helpers.closed_loop import mpc_situations as situations
@@ -32,7 +33,7 @@ HORIZON = 8  # of nearly all plans here: each horizon is compiled, with soft lim
 @pytest.fixture(autouse=True, scope="module")
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(solver_module.CACHE, str(tmp_path_factory.mktemp("cache")))
+        patch.setenv(casadi_code.CACHE, str(tmp_path_factory.mktemp("cache")))
         yield
 
 
@@ -342,43 +343,43 @@ def test_a_switch_takes_the_virtual_machine_and_commands_stay(monkeypatch: pytes
     )
     usual = [first(design, plant, x, preview, prev)[0] for design in designs]
     functions = solver_module._functions
-    monkeypatch.setenv(solver_module.CODE, "vm")
-    monkeypatch.setattr(solver_module.subprocess, "run", lambda *_, **__: pytest.fail("compiled"))
+    monkeypatch.setenv(casadi_code.CODE, "vm")
+    monkeypatch.setattr(casadi_code.subprocess, "run", lambda *_, **__: pytest.fail("compiled"))
     monkeypatch.setattr(solver_module, "_functions", functions.__wrapped__)
     monkeypatch.setattr(solver_module, "_LOCAL", threading.local())
     for design, expected in zip(designs, usual, strict=True):
         np.testing.assert_allclose(first(design, plant, x, preview, prev)[0], expected, atol=1e-10)
-    monkeypatch.setenv(solver_module.CODE, "fast")
-    with refused(solver_module.CODE, value="fast", allowed={"auto", "vm"}):
-        solver_module.compiled((), "x")
+    monkeypatch.setenv(casadi_code.CODE, "fast")
+    with refused(casadi_code.CODE, value="fast", allowed={"auto", "vm"}):
+        casadi_code.compiled((), "x")
 
 
 def test_a_library_is_written_whole_or_not_at_all(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A compiler that writes half a file and fails leaves nothing, and the virtual machine serves."""
-    monkeypatch.setenv(solver_module.CACHE, str(tmp_path / "cache"))
+    monkeypatch.setenv(casadi_code.CACHE, str(tmp_path / "cache"))
     broken = tmp_path / "cc"
     broken.write_text('#!/bin/sh\nwhile [ "$1" != "-o" ]; do shift; done\necho half > "$2"\nexit 1\n')
     broken.chmod(0o755)
     function = ca.Function("f", [x := ca.SX.sym("x")], [2 * x])
-    monkeypatch.setattr(solver_module.shutil, "which", lambda _: str(broken))
-    (same,) = solver_module.compiled((function,), "half")
+    monkeypatch.setattr(casadi_code.shutil, "which", lambda _: str(broken))
+    (same,) = casadi_code.compiled((function,), "half")
     assert same is function
     assert list((tmp_path / "cache").iterdir()) == []
     monkeypatch.undo()
-    monkeypatch.setenv(solver_module.CACHE, str(tmp_path / "cache"))
-    (compiled,) = solver_module.compiled((function,), "whole")
+    monkeypatch.setenv(casadi_code.CACHE, str(tmp_path / "cache"))
+    (compiled,) = casadi_code.compiled((function,), "whole")
     assert float(compiled(3)) == 6.0
-    if solver_module.shutil.which("cc") is None:
+    if casadi_code.shutil.which("cc") is None:
         return
     assert compiled is not function
     (library,) = (tmp_path / "cache").iterdir()
     stamp = library.stat().st_mtime_ns
-    solver_module.compiled((function,), "whole")
+    casadi_code.compiled((function,), "whole")
     assert library.stat().st_mtime_ns == stamp  # not compiled again
-    damaged = solver_module._library((function,), "damaged")
+    damaged = casadi_code._library((function,), "damaged")
     damaged.write_bytes(b"half")
-    assert solver_module.compiled((function,), "damaged")[0] is function
+    assert casadi_code.compiled((function,), "damaged")[0] is function
     assert not damaged.exists()
-    (again,) = solver_module.compiled((function,), "damaged")
+    (again,) = casadi_code.compiled((function,), "damaged")
     assert again is not function
     assert float(again(3)) == 6.0

@@ -162,6 +162,11 @@ def _score(metric: str) -> int:
     return SCORE + LANES * (1 + tuple(SCENARIO_METRICS).index(metric))
 
 
+# pieces of a sample on a vehicle model: what it is asked, and what follows from its answer
+ASK_AT_TRIGGER, AT_TRIGGER, ASK_COMMANDED, COMMANDED, ASK_STEP, STEPPED, ASK_CUT, AT_CUT, ASK_END, AT_END = range(10)
+QUESTION: Final = 17  # numbers that a model gets for a lane, see `kernel.model_loop`
+ROAD: Final = 4 * (9 + 4) * LANES  # the road of a sample for them: segments without their substeps
+
 AREA: Final = SCORE  # integral of |e_y| up to T
 DEEPEST: Final = _score("deepest")  # max of e_y up to T
 FRONT_DEEPEST: Final = _score("dtle")  # max of e_y + l_f e_psi up to T
@@ -201,7 +206,7 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         BOUND: bound,  # [m] |e_y| that counts as diverged
         WINDOW: whole_multiple(window, dt) / dt,  # samples in the moving average of the jerk
         PROFILE: setup.options.speed == "profile",  # v(t) instead of the trigger's speed
-        SATURATING: not setup.options.tyres.ideal,  # tyres
+        SATURATING: not setup.options.tyres.ideal or setup.vehicle_model is not None,  # tyres
         SHAPE: setup.options.tyres.shape,  # of the tyres
         DELTA_MAX: math.inf if actuator.delta_max is None else actuator.delta_max,  # infinite for none
         RATE_MAX: math.inf if actuator.rate_max is None else actuator.rate_max,  # infinite for none

@@ -17,11 +17,23 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.numba_internals import OPTIONS, source_version, uncounted
 from ldctoolkit.paths import kernels
-from ldctoolkit.simulation.kernel import actuator, block_table, data, exact_loop, rk4_loop, road, sight
+from ldctoolkit.simulation.kernel import actuator, block_table, data, exact_loop, model_loop, rk4_loop, road, sight
 from ldctoolkit.simulation.kernel.data import ALIVE, COMMAND, LANES, SEEN_E_Y, WHEEL_SEEN
 from ldctoolkit.simulation.kernel.road import lay_road, segment_size, substeps_of
 
-_SOURCES = (numba_internals, vector_math, data, block_table, exact_loop, actuator, road, sight, rk4_loop, kernels)
+_SOURCES = (
+    numba_internals,
+    vector_math,
+    data,
+    block_table,
+    exact_loop,
+    actuator,
+    road,
+    sight,
+    rk4_loop,
+    model_loop,
+    kernels,
+)
 
 
 def _entries(version: int) -> Any:
@@ -120,10 +132,34 @@ def _entries(version: int) -> Any:
                 score, diverged, failed, tables,
             )  # fmt: skip
 
-    return begin, look, go_on, drive_any, drive_lanes
+    @numba.njit(cache=True, **OPTIONS)
+    def exchange(
+        phase, setting, state, recorded, paths, k, j, segment, blocks, rows, command, road, ends, ramps, e, result
+    ):
+        """A piece of sample k of some blocks, the rows of `road`, `ends`, `ramps`: what a vehicle model is asked, or
+        what follows from its answer.
+        """
+        if version < 0:
+            return
+        setting, state, recorded, paths = uncounted(setting), uncounted(state), uncounted(recorded), uncounted(paths)
+        blocks, rows, command, road = uncounted(blocks), uncounted(rows), uncounted(command), uncounted(road)
+        ends, ramps, e, result = uncounted(ends), uncounted(ramps), uncounted(e), uncounted(result)
+        bend = np.empty(4 * LANES)
+        for i in range(rows.shape[0]):
+            row, first = rows[i], i * LANES
+            block = blocks[row]
+            w = state[block]
+            if phase == data.ASK_COMMANDED:
+                ends[row] = model_loop.begin(setting, recorded, block, w, k, command, road[row], bend)
+            if phase % 2 == 0:
+                ramps[row] = model_loop.ask(phase, setting, w, road[row], k, j, segment, ramps[row], e, first)
+            else:
+                model_loop.take(phase, setting, w, road[row], k, j, segment, paths, e, result, first)
+
+    return begin, look, go_on, drive_any, drive_lanes, exchange
 
 
-begin, look, go_on, drive_any, drive_lanes = _entries(source_version(_SOURCES, *SCENARIO_METRICS))
+begin, look, go_on, drive_any, drive_lanes, exchange = _entries(source_version(_SOURCES, *SCENARIO_METRICS))
 
 
 def scratch(setting: FloatArray, lookaheads: int, most: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -194,62 +194,9 @@ def _next_piece(setting, w):
 
 
 @numba.njit(**OPTIONS)
-def _drive_segment(setting, w, k, parts, road, segment):
-    """All lanes over a segment; True if one of them has left the bound."""
-    width = int(setting[data.WIDTH])
-    copy(w, data.SEGMENT_LENGTH, road, segment, 9)
-    copy(w, data.SEGMENT_START, w, data.PIECE_START, 1)
-    for l in range(width):
-        alive, young, old = w[data.ALIVE + l], w[data.YOUNG_COMMAND + l], w[data.OLD_COMMAND + l]
-        u = young if w[data.SEGMENT_AFTER_DELAY + l] > 0.0 else old
-        w[data.SEGMENT_LENGTH + l] *= alive
-        w[data.SUBSTEP_LENGTH + l] *= alive
-        w[data.BEFORE_T + l] = w[data.SEGMENT_IN_T + l] * alive
-        w[data.COMMAND + l] = w[data.DELTA_START + l] = w[data.DELTA_MID + l] = w[data.DELTA_END + l] = u
-    for n in range(data.SCORES * L):
-        w[data.SAVED + n] = w[data.SCORE + n]
-    ramps = actuator.steer(setting, w)
-    moves, least = setting[data.LAG] > 0.0 or setting[data.RATE_MAX] < math.inf, parts
-    for l in range(L):
-        least = min(least, int(w[data.N_SUBSTEPS + l]))
-    for j in range(parts):
-        ends = j + 1 >= least or (j + 1) % data.PIECE == 0
-        whole = (j + 1) % data.PIECE == 0
-        for l in range(width):
-            going = j < w[data.N_SUBSTEPS + l]
-            w[data.H + l] = w[data.SUBSTEP_LENGTH + l] if going else 0.0
-            w[data.PIECE_ENDS + l] = 1.0 if (j + 1 == w[data.N_SUBSTEPS + l]) | (going & whole) else 0.0
-        if moves and ramps:
-            actuator.along_ramp(setting, w, j)
-        elif moves:
-            actuator.along_decay(setting, w)
-        if setting[data.SATURATING] > 0.0:
-            _saturating_substep(w, road, segment + HEADER + 2 * j * POINT_SIZE, setting[data.SHAPE])
-        else:
-            _linear_substep(w, road, segment + HEADER + 2 * j * POINT_SIZE, 0.0)
-        if ends:
-            if setting[data.CAMERA] > 0.0:
-                sight.take_between(setting, k, w)
-            if _score(setting, w):
-                for l in range(L):
-                    if w[data.EVENT + l] > 0.0:
-                        block_table.look_closer(
-                            setting, w, l, w[data.PIECE_START + l], w[data.PIECE_TIME + l], w[data.BEFORE_T + l] > 0.0
-                        )
-            _next_piece(setting, w)
-    spun = _SPUN if setting[data.SATURATING] > 0.0 else math.inf
-    lost = False
-    for l in range(L):
-        inside = (abs(w[data.NEXT_E_Y + l]) <= setting[data.BOUND]) & (abs(w[data.NEXT_E_PSI + l]) < spun)
-        w[data.EVENT + l] = w[data.ALIVE + l] if not inside else 0.0
-        lost |= w[data.EVENT + l] > 0.0
-    return lost
-
-
-@numba.njit(**OPTIONS)
-def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
-    """Sample k with the command in `COMMAND`: segments of the road from `segment` to `end`. Lanes that go on after."""
-    ring, whole, size = int(setting[data.COMMAND_RING]), k - int(setting[data.DELAY_SAMPLES]), segment_size(parts)
+def begin_sample(setting, w, k):
+    """Command of sample k from `COMMAND`, delayed and limited; the steering angle just after it."""
+    ring, whole = int(setting[data.COMMAND_RING]), k - int(setting[data.DELAY_SAMPLES])
     newest = data.RINGS + (k % ring) * L
     fresh, stale = data.RINGS + (whole % ring) * L, data.RINGS + ((whole - 1) % ring) * L
     # the steering angle at the trigger is not limited
@@ -268,23 +215,115 @@ def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
         old = min(max(w[data.OLD_COMMAND + l], -most_stale), most_stale)
         w[data.YOUNG_COMMAND + l], w[data.OLD_COMMAND + l] = young, old
         w[data.DELTA_START + l] = (old if split else young) if immediate else w[data.WHEEL + l]
-    _accelerations(setting, w, road, segment + HEADER, data.DELTA_START, data.A_Y_START)
-    if paths.shape[0]:
+
+
+@numba.njit(**OPTIONS)
+def correct_paths(w, paths):
+    """Steering angle and lateral acceleration just after the command, in the paths' latest entries."""
+    for l in range(L if paths.shape[0] else 0):
+        if w[data.ALIVE + l] > 0.0 and w[data.PATH_ROW + l] >= 0.0:
+            block_table.correct_record(paths, w, l, w[data.DELTA_START + l], w[data.A_Y_START + l])
+
+
+@numba.njit(**OPTIONS)
+def begin_segment(setting, w, road, segment):
+    """Lengths, command and wheel angle of a segment; True if the wheels ramp in a lane."""
+    copy(w, data.SEGMENT_LENGTH, road, segment, 9)
+    copy(w, data.SEGMENT_START, w, data.PIECE_START, 1)
+    for l in range(int(setting[data.WIDTH])):
+        alive, young, old = w[data.ALIVE + l], w[data.YOUNG_COMMAND + l], w[data.OLD_COMMAND + l]
+        u = young if w[data.SEGMENT_AFTER_DELAY + l] > 0.0 else old
+        w[data.SEGMENT_LENGTH + l] *= alive
+        w[data.SUBSTEP_LENGTH + l] *= alive
+        w[data.BEFORE_T + l] = w[data.SEGMENT_IN_T + l] * alive
+        w[data.COMMAND + l] = w[data.DELTA_START + l] = w[data.DELTA_MID + l] = w[data.DELTA_END + l] = u
+    for n in range(data.SCORES * L):
+        w[data.SAVED + n] = w[data.SCORE + n]
+    return actuator.steer(setting, w)
+
+
+@numba.njit(**OPTIONS)
+def begin_substep(setting, w, j, ramps):
+    """Length of substep j in each lane, and the steering angle along it."""
+    whole = (j + 1) % data.PIECE == 0
+    for l in range(int(setting[data.WIDTH])):
+        going = j < w[data.N_SUBSTEPS + l]
+        w[data.H + l] = w[data.SUBSTEP_LENGTH + l] if going else 0.0
+        w[data.PIECE_ENDS + l] = 1.0 if (j + 1 == w[data.N_SUBSTEPS + l]) | (going & whole) else 0.0
+    if setting[data.LAG] > 0.0 or setting[data.RATE_MAX] < math.inf:
+        if ramps:
+            actuator.along_ramp(setting, w, j)
+        else:
+            actuator.along_decay(setting, w)
+
+
+@numba.njit(**OPTIONS)
+def end_piece(setting, w, k):
+    """Frames and scores of the pieces that end here; the next ones begin."""
+    if setting[data.CAMERA] > 0.0:
+        sight.take_between(setting, k, w)
+    if _score(setting, w):
         for l in range(L):
-            if w[data.ALIVE + l] > 0.0 and w[data.PATH_ROW + l] >= 0.0:
-                block_table.correct_record(paths, w, l, w[data.DELTA_START + l], w[data.A_Y_START + l])
+            if w[data.EVENT + l] > 0.0:
+                block_table.look_closer(
+                    setting, w, l, w[data.PIECE_START + l], w[data.PIECE_TIME + l], w[data.BEFORE_T + l] > 0.0
+                )
+    _next_piece(setting, w)
+
+
+@numba.njit(**OPTIONS)
+def end_segment(setting, w):
+    """Lanes that have left the bound in a segment end."""
+    spun = _SPUN if setting[data.SATURATING] > 0.0 else math.inf
+    for l in range(L):
+        inside = (abs(w[data.NEXT_E_Y + l]) <= setting[data.BOUND]) & (abs(w[data.NEXT_E_PSI + l]) < spun)
+        if not inside and w[data.ALIVE + l] > 0.0:
+            for n in range(data.SCORES):
+                w[data.SCORE + n * L + l] = w[data.SAVED + n * L + l]
+            block_table.diverge(setting, w, l, w[data.SEGMENT_START + l], w[data.BEFORE_T + l] > 0.0)
+            w[data.DIVERGED + l], w[data.ALIVE + l] = 1.0, 0.0
+
+
+@numba.njit(**OPTIONS)
+def _drive_segment(setting, w, k, parts, road, segment):
+    """All lanes over a segment."""
+    ramps, least = begin_segment(setting, w, road, segment), parts
+    for l in range(L):
+        least = min(least, int(w[data.N_SUBSTEPS + l]))
+    for j in range(parts):
+        begin_substep(setting, w, j, ramps)
+        if setting[data.SATURATING] > 0.0:
+            _saturating_substep(w, road, segment + HEADER + 2 * j * POINT_SIZE, setting[data.SHAPE])
+        else:
+            _linear_substep(w, road, segment + HEADER + 2 * j * POINT_SIZE, 0.0)
+        if j + 1 >= least or (j + 1) % data.PIECE == 0:
+            end_piece(setting, w, k)
+    end_segment(setting, w)
+
+
+@numba.njit(**OPTIONS)
+def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
+    """Sample k with the command in `COMMAND`: segments of the road from `segment` to `end`. Lanes that go on after."""
+    size = segment_size(parts)
+    begin_sample(setting, w, k)
+    _accelerations(setting, w, road, segment + HEADER, data.DELTA_START, data.A_Y_START)
+    correct_paths(w, paths)
     while segment < end:
-        if _drive_segment(setting, w, k, parts, road, segment):
-            for l in range(L):
-                if w[data.EVENT + l] > 0.0:
-                    for n in range(data.SCORES):
-                        w[data.SCORE + n * L + l] = w[data.SAVED + n * L + l]
-                    block_table.diverge(setting, w, l, w[data.SEGMENT_START + l], w[data.BEFORE_T + l] > 0.0)
-                    w[data.DIVERGED + l], w[data.ALIVE + l] = 1.0, 0.0
+        _drive_segment(setting, w, k, parts, road, segment)
         if segment + size < end:
-            _at_T(setting, w, road, segment + size, paths)
+            _accelerations(setting, w, road, segment + size + HEADER, data.WHEEL, data.A_Y_START_PAST)
+            at_T(w, road, segment + size, paths)
         segment += size
-    for l in range(width):  # a lane that has ended stays finite
+    settle(setting, w)
+    _accelerations(setting, w, road, end - POINT_SIZE, data.WHEEL, data.A_Y_END)
+    copy(w, data.BEND_START, bend, bend_offset, 4)
+    return end_sample(setting, w, k, paths)
+
+
+@numba.njit(**OPTIONS)
+def settle(setting, w):
+    """The next sample starts where this one ended; a lane that has ended stays finite."""
+    for l in range(int(setting[data.WIDTH])):
         alive = w[data.ALIVE + l] > 0.0
         w[data.E_Y + l] = w[data.NEXT_E_Y + l] = w[data.NEXT_E_Y + l] if alive else 0.0
         w[data.E_Y_RATE + l] = w[data.NEXT_E_Y_RATE + l] = w[data.NEXT_E_Y_RATE + l] if alive else 0.0
@@ -292,8 +331,11 @@ def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
         w[data.E_PSI_RATE + l] = w[data.NEXT_E_PSI_RATE + l] = w[data.NEXT_E_PSI_RATE + l] if alive else 0.0
         rate = abs(w[data.WHEEL + l] - w[data.WHEEL_START + l]) / setting[data.DT]
         w[data.DELTA_RATE_PEAK + l] = larger(w[data.DELTA_RATE_PEAK + l], rate if alive else 0.0)
-    _accelerations(setting, w, road, end - POINT_SIZE, data.WHEEL, data.A_Y_END)
-    copy(w, data.BEND_START, bend, bend_offset, 4)
+
+
+@numba.njit(**OPTIONS)
+def end_sample(setting, w, k, paths):
+    """Scores of the acceleration over sample k, and paths; the number of lanes that go on."""
     block_table.look_back(setting, w, k)
     for l in range(L):
         if w[data.ALIVE + l] > 0.0 and k + 1 == w[data.ALL_STEPS + l]:
@@ -303,9 +345,11 @@ def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
 
 
 @numba.njit(**OPTIONS)
-def _at_T(setting, w, road, segment, paths):
-    """Lanes whose T is where the segment from `segment` on begins: just after it nothing is recorded any more."""
-    _accelerations(setting, w, road, segment + HEADER, data.WHEEL, data.A_Y_START_PAST)
+def at_T(w, road, segment, paths):
+    """Lanes whose T is where the segment from `segment` on begins: just after it nothing is recorded any more.
+
+    Their accelerations stand in the rows from `A_Y_START_PAST` on.
+    """
     for l in range(L):
         if w[data.BEFORE_T + l] * w[data.ALIVE + l] > 0.0 and road[segment + L + l] == 0.0 and road[segment + l] > 0.0:
             peak = abs(w[data.A_Y_RELATIVE_START_PAST + l])

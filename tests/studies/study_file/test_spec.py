@@ -21,7 +21,7 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.studies import Design, Study
 from ldctoolkit.studies.design_space import expand
 from ldctoolkit.studies.pages.report import plant_settings
-from ldctoolkit.studies.study_file import catalog_names, load_study, toml_text
+from ldctoolkit.studies.study_file import CATALOG, catalog_names, load_study, toml_text
 
 pytestmark = pytest.mark.usefixtures("laws")
 
@@ -440,6 +440,7 @@ HARD_TEXT = 'a "quoted"  title, with [brackets],\n\\ and </script> ü'
 def test_a_study_written_as_toml_is_the_same_study_again(content: dict[str, Any], tmp_path: Path) -> None:
     study, path = Study.from_dict(content), tmp_path / "s.toml"
     path.write_text(toml_text(study), encoding="utf-8")
+    (tmp_path / "my_car.py").write_text((CATALOG / "my_car.py").read_text(encoding="utf-8"), encoding="utf-8")
     again = load_study(str(path))
     assert (again.content(), again.hash, again.title) == (study.content(), study.hash, content["title"])
     if "ranking" in content and content["ranking"]["require"] == ["deeper <= 0.5"]:
@@ -459,7 +460,7 @@ def test_the_paper_is_run_from_the_printed_start() -> None:
 
 
 def test_the_catalog_loads() -> None:
-    names = "ideal paper paper-as-printed reality road-edge trigger-and-gains zoo zoo-sweep"
+    names = "ideal my-vehicle paper paper-as-printed reality road-edge trigger-and-gains zoo zoo-sweep"
     assert catalog_names() == tuple(names.split())
     assert all(load_study(name).name == name for name in catalog_names())
     assert not load_study("reality").plant.ideal
