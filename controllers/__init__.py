@@ -6,6 +6,8 @@ if __name__ == "controllers":  # in a checkout, whose root is on Python's path
 from ldctoolkit.control import check_class
 
 from .barrier_filter import BarrierFilter
+from .external import CLaw
+from .fmu import FmuLaw, FmuVehicle
 from .from_opti import from_opti
 from .linear_mpc import LinearMPC
 from .lqi import LQI
@@ -25,6 +27,9 @@ __all__ = [
     "LQR",
     "PID",
     "BarrierFilter",
+    "CLaw",
+    "FmuLaw",
+    "FmuVehicle",
     "LinearMPC",
     "NoControl",
     "NonlinearMPC",
@@ -39,5 +44,5 @@ __all__ = [
     "from_opti",
 ]
 
-for _name in {*__all__} - {"PredictiveController", "Soft", "Stage", "from_opti"}:
+for _name in {*__all__} - {"CLaw", "FmuLaw", "FmuVehicle", "PredictiveController", "Soft", "Stage", "from_opti"}:
     check_class(globals()[_name])  # their documentation then lists their gains

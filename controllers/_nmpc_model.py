@@ -55,6 +55,8 @@ class SoftRow(NamedTuple):
     """One kind of soft limit: low <= output <= high at every sample, violations v cost w v + w v^2/2."""
 
     output: int  # Index among the outputs; of jerk that of an acceleration
+    soft: int  # Index among the soft limits of the stage
+    end: bool  # Of the sample's end, where k is that of the next one
     history: int | None = None  # Of jerk: 0 for just after each command, 1 for each sample's end
 
 
@@ -94,7 +96,7 @@ class Formulation:
     soft: tuple[SoftRow, ...]
     linear_part: Any  # (base columns) -> (A, B, E) of the rates at straight driving
     hessian: Any  # (z, u, p, c) -> second derivatives (nz + 1, nz + 1) of the stage cost
-    check: Any  # (z, u, p, c) -> numbers that have to be finite
+    check: Any  # (z, u, p, c) -> numbers that have to be finite; slopes of the stage cost and of the terminal cost
     limit: Any  # (p, c) -> as `Program.limits`, of one sample
     program: Callable[[int], Program]
 
@@ -113,9 +115,6 @@ class Formulation:
 def formulation(structure: Structure) -> Formulation:
     """The functions of a structure."""
     return _Builder(structure).build()
-
-
-_OPEN: Final = (-np.inf, np.inf)
 
 
 class _Builder:
@@ -177,14 +176,14 @@ class _Builder:
         cost = _replaced(cost, start)
         rows: list[tuple[SoftRow, list[Any]]] = []
         outputs: list[Any] = []
-        for expression, low, high, weight, curve, jerk in soft:
+        for expression, low, high, weight, curve, jerk, index in soft:
             sides = (start, end) if jerk or ca.depends_on(expression, self.a) else (end,)
             if not jerk and not ca.depends_on(expression, ca.vertcat(self.x, self.prev, self.a)):
                 sides = (start,)  # of the command alone
             for side in sides:
                 rows.append(
                     (
-                        SoftRow(len(outputs), int(side is end) if jerk else None),
+                        SoftRow(len(outputs), index, side is end, int(side is end) if jerk else None),
                         [_replaced(v, side) for v in (low, high, weight, curve)],
                     )
                 )
@@ -222,7 +221,8 @@ class _Builder:
             quadratic=quadratic, affine=affine, riccati=terminal is None, layout=self.layout, outputs=len(outputs),
             soft=tuple(row for row, _ in rows), linear_part=ca.Function("linear_part", [self.c_base], straight),
             hessian=ca.Function("hessian", [z, u, p, c], [ca.densify(H)]),
-            check=ca.Function("check", [z, u, p, c], [ca.densify(finite)]), limit=limit,
+            limit=limit,
+            check=ca.Function("check", [z, u, p, c], [ca.densify(finite), ca.densify(ca.vertcat(g, slope))]),
             program=functools.partial(
                 build, z=z, u=u, p=p, c=c, f=f, a_0=a_0, a_1=a_1, cost=cost, final=final, o=o, layout=self.layout,
                 limit=limit, exact=self.design.hessian == "exact",
@@ -239,15 +239,18 @@ class _Builder:
             Names(
                 f"{self.name}.lane", yaw_rate=self.r, curvature=self.r / self.numbers["v"],
                 steady_delta=self.steady, steady_e_psi=self.ref[2], offset=self.numbers["offset"],
-                dt=self.numbers["dt"],
+                dt=self.numbers["dt"], v=self.numbers["v"],
             ),
         )  # fmt: skip
 
-    def _expression(self, path: str, value: Any, *, given: bool = False) -> Any:
-        """The value as a CasADi scalar of known symbols; `given`: of the lane, k and gains alone."""
+    def _expression(self, path: str, value: Any, *, given: bool = False, absent: Any = None) -> Any:
+        """The value, or what stands for None, as a CasADi scalar of known symbols; `given`: of lane, k and gains."""
         allowed = "a number or a CasADi scalar of " + ("lane, k and gains" if given else "x, u, lane, k and gains")
         return checked_expression(
-            path, value, self.given if given else self.ca.vertcat(self.moving, self.given), allowed
+            path,
+            absent if value is None else value,
+            self.given if given else self.ca.vertcat(self.moving, self.given),
+            allowed,
         )
 
     def _dynamics(self) -> Any:
@@ -259,7 +262,7 @@ class _Builder:
         if not isinstance(given, Mapping):
             raise InputError(path, f"returned {type(given).__name__}", allowed="a dictionary of rates by state")
         if missing := [name for name in names if name not in given]:
-            raise InputError(f"{path}[{missing[0]!r}]", "no rate of this state")
+            raise InputError(f"{path}[{missing[0]!r}]", "no rate of this state", allowed=f"rates of {', '.join(names)}")
         if unknown := [name for name in given if name not in (*names, "a_y")]:
             raise UnknownNameError(f"{path}.{unknown[0]}", "no such state", allowed=(*names, "a_y"))
         values = {name: self._expression(f"{path}[{name!r}]", value) for name, value in given.items()}
@@ -270,7 +273,7 @@ class _Builder:
         return both[:-1], a_y
 
     def _stage(self) -> tuple[Any, tuple[Any, ...], list[tuple[Any, ...]]]:
-        """Cost; bounds of delta and its change; rows (value, low, high, weights of v and v^2/2, whether of jerk)."""
+        """Cost; bounds of delta and change; rows (value, low, high, weights of v and v^2/2, whether of jerk, index)."""
         ca, path = self.ca, f"{self.name}.stage"
         stage = called(path, self.design.stage, *self._names(of_stage=True), self.k)
         if not all(hasattr(stage, name) for name in ("cost", "hard", "soft")):
@@ -288,23 +291,23 @@ class _Builder:
             if not (isinstance(row, tuple | list) and len(row) == 3):
                 raise InputError(where, f"of type {type(row).__name__}", allowed="a tuple (expression, low, high)")
             value = self._expression(where, row[0])
-            low, high = (self._expression(f"{where}[{j}]", row[j], given=True) for j in (1, 2))
-            slopes = ca.jacobian(value, self.moving)
+            sides = ((1, -np.inf), (2, np.inf))
+            low, high = (self._expression(f"{where}[{j}]", row[j], given=True, absent=end) for j, end in sides)
             held = [k for k, of in enumerate((self.u, self.change)) if ca.depends_on(value, of)]
             other = ca.depends_on(value, ca.vertcat(self.x, self.prev, self.a, self.jerk))
-            if len(held) != 1 or other or not slopes.is_constant():
+            if len(held) != 1 or other or ca.depends_on(ca.jacobian(value, self.moving), self.moving):
                 hint = "what depends on the state may not be possible to keep: limit it with Soft"
                 raise InputError(where, allowed="a hard limit of u.delta or of u.change, linear in it", hint=hint)
             slope = ca.jacobian(value, (self.u, self.change)[held[0]])
             rest = _replaced(value, [(self.u, ca.DM(0)), (self.change, ca.DM(0))])
             ends = (low - rest) / slope, (high - rest) / slope
             k = 2 * held[0]
-            bounds[k] = ca.fmax(bounds[k], ends[float(slope) < 0])
-            bounds[k + 1] = ca.fmin(bounds[k + 1], ends[float(slope) > 0])
+            bounds[k] = ca.fmax(bounds[k], ca.fmin(*ends))
+            bounds[k + 1] = ca.fmin(bounds[k + 1], ca.fmax(*ends))
         return (
             cost,
             tuple(bounds),
-            [row for i, soft in enumerate(stage.soft) for row in self._soft(f"{path}.soft[{i}]", soft)],
+            [(*row, i) for i, soft in enumerate(stage.soft) for row in self._soft(f"{path}.soft[{i}]", soft)],
         )
 
     def _soft(self, path: str, soft: Any) -> list[tuple[Any, ...]]:
@@ -312,7 +315,10 @@ class _Builder:
         if not all(hasattr(soft, name) for name in ("value", "lower", "upper", "weight")):
             raise InputError(path, f"of type {type(soft).__name__}", allowed="Soft(value, lower, upper, weight)")
         value = self._expression(path, soft.value)
-        low, high = (self._expression(f"{path}.{name}", getattr(soft, name)) for name in ("lower", "upper"))
+        sides = (("lower", -np.inf), ("upper", np.inf))
+        low, high = (self._expression(f"{path}.{name}", getattr(soft, name), absent=end) for name, end in sides)
+        if low.is_minus_inf() and high.is_inf():
+            raise InputError(path, "has no limit", allowed="lower, upper, or both")
         weight = self._expression(f"{path}.weight", soft.weight, given=True)
         if ca.depends_on(ca.vertcat(value, low, high), self.jerk):
             others = ca.vertcat(self.x, self.u, self.change, self.prev, self.a)
@@ -330,8 +336,8 @@ class _Builder:
         none = ca.SX(np.inf)
         below = (value - low, ca.SX(0), none) if ca.depends_on(low, self.moving) else (value, low, none)
         above = (value - high, -none, ca.SX(0)) if ca.depends_on(high, self.moving) else (value, -none, high)
-        rows = (below, soft.lower), (above, soft.upper)
-        return [(*row, weight, weight, False) for row, end in rows if not (isinstance(end, float) and np.isinf(end))]
+        rows = ((below, low.is_minus_inf()), (above, high.is_inf()))
+        return [(*row, weight, weight, False) for row, is_open in rows if not is_open]
 
     def _terminal(self) -> Any:
         """The designer's terminal cost; None for that of the Riccati equation."""

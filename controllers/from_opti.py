@@ -55,7 +55,7 @@ def from_opti(
     build : callable
         Returns the N commands [rad], N being its gain `horizon`. Takes by name those that it needs of ``opti``; ``x``
         (4), the state where the first command steers; ``delta_prev`` [rad], the command before; ``lane`` with yaw_rate,
-        curvature, steady_e_psi (N + 1), steady_delta (N), offset and dt, as in `PredictiveController.stage`;
+        curvature, steady_e_psi (N + 1), steady_delta (N), offset, dt and v, as in `PredictiveController.stage`;
         ``vehicle`` with C_af, C_ar, l_f, l_r, m, I_z, mu, v, dt, ``sample(x, delta, k)``, the state after sample k,
         ``a_y(x, delta, k)``, lateral acceleration beyond the lane's at its start, and ``riccati(q, r)``, the cost
         (4, 4) of the LQR with weights q (4) on x and r on delta. Arguments with defaults are gains: numbers, or what
@@ -115,6 +115,7 @@ class OptiController(Controller):
     build: ClassVar[Callable[..., Any]]
     options: ClassVar[Mapping[str, Mapping[str, Any]]]
     batch: ClassVar[int] = 20
+    symmetric: ClassVar[bool] = False  # as in `PredictiveController`
     move_blocks: ClassVar[int] = 0
 
     def prepare(self, plant: Plant) -> OptiLaw:
@@ -175,7 +176,7 @@ def _problem(kind: type[OptiController], fixed: Any, gains: tuple[str, ...], for
     given = {
         "opti": opti, "x": x, "delta_prev": delta_prev,
         "lane": Names(
-            f"{kind.name}.lane", yaw_rate=nodes[0, :].T, curvature=nodes[0, :].T / numbers["v"],
+            f"{kind.name}.lane", yaw_rate=nodes[0, :].T, curvature=nodes[0, :].T / numbers["v"], v=numbers["v"],
             steady_e_psi=nodes[LANE + 2, :].T, steady_delta=P[3, :].T, offset=numbers.pop("offset"), dt=numbers["dt"],
         ),
         "vehicle": Names(

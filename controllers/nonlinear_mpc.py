@@ -37,6 +37,7 @@ class NonlinearMPC(MPCDesign, PredictiveController):
 
     name: ClassVar[str] = "nonlinear_mpc"
     title: ClassVar[str] = "Nonlinear MPC"
+    symmetric: ClassVar[bool] = True
 
     mu: float = gain(1.0, unit="1", lower=0.05, upper=2.0, description="friction coefficient of the law's tyres")
 

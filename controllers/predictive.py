@@ -51,10 +51,10 @@ class Soft:
     """
 
     value: Any  # CasADi scalar of x, u, lane, k and gains
-    # The same; infinite for no limit
+    # The same; infinite or None for no limit
     lower: Any = -np.inf
     upper: Any = np.inf
-    weight: Any = 1e3  # > 0, of gains, lane and k
+    weight: Any = 1e3  # > 0 on a straight lane, of gains, lane and k; where it reaches 0 there is no limit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Stage:
     """
 
     cost: Any  # CasADi scalar
-    # (expression, low, high): of u.delta or of u.change, linear in it; the ends of gains, lane and k
+    # (expression, low, high): of u.delta or of u.change, linear in it; the ends of gains, lane and k, or None
     hard: Sequence[tuple[Any, Any, Any]] = ()
     soft: Sequence[Soft] = ()
 
@@ -96,15 +96,16 @@ class PredictiveController(Controller):
     """
 
     batch: ClassVar[int] = 20  # tens of milliseconds a scenario: about a second of work
+    symmetric: ClassVar[bool] = False  # a cost or a limit may be of the line that is crossed alone
 
     states: ClassVar[tuple[str, ...]] = ()
     """States beyond e_y, e_y_rate, e_psi, e_psi_rate; one named ``wheel`` is the angle of the wheels."""
 
     move_blocks: ClassVar[int] = 0
-    """Number of free moves, each held; 0 for one a sample."""
+    """Number of free moves, each held, at most one a sample; 0 for one a sample."""
 
-    iterations: ClassVar[int] = 0
-    """Iterations of each solve; 0 for as many as convergence takes."""
+    iterations: ClassVar[int | str] = "converged"
+    """Iterations of each solve, a whole number; ``"converged"``, or 0, for as many as convergence takes."""
 
     integrator: ClassVar[str] = "exponential"
     """``exponential`` (exact where the dynamics are linear), or ``rk4``."""
@@ -120,13 +121,13 @@ class PredictiveController(Controller):
         ----------
         x : e_y [m], e_y_rate [m/s], e_psi [rad], e_psi_rate [rad/s], the class's states, wheel [rad]
             State at the sample's start; `wheel` is the command before where no state has this name. In limits also
-            `a_y` [m/s^2], lateral acceleration beyond the lane's, and `jerk` [m/s^3], its mean change over 0.5 s; in
-            costs `a_y` just after the command.
+            `a_y` [m/s^2], lateral acceleration less v^2 c, and `jerk` [m/s^3], its mean change over 0.5 s; in costs
+            `a_y` just after the command.
         u : delta, change [rad]
             Command, and its change from the one before.
-        lane : yaw_rate [rad/s], curvature [1/m], steady_delta [rad], steady_e_psi [rad], offset [m], dt [s]
+        lane : yaw_rate [rad/s], curvature [1/m], steady_delta [rad], steady_e_psi [rad], offset [m], dt [s], v [m/s]
             Lane at the sample's start; steering angle and heading error of steady cornering there; e_y at which the
-            vehicle's edge is on the line that is crossed (on the other one: minus that); sample time.
+            vehicle's edge is on the line that is crossed (on the other one: minus that); sample time; speed.
         k : index of the sample
 
         Returns
@@ -230,8 +231,11 @@ def _horizon(design: PredictiveController, form: Formulation) -> int:
     limits = {"horizon": 1, "move_blocks": 0, "iterations": 0}
     for name, least in limits.items():
         value = plain(getattr(design, name, None))
+        if isinstance(value, str) and (name, value) == ("iterations", "converged"):
+            continue
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise InputError(f"{design.name}.{name}", value=value, allowed=f"a whole number >= {least}")
+            allowed = f"a whole number >= {least}" + ', or "converged"' * (name == "iterations")
+            raise InputError(f"{design.name}.{name}", value=value, allowed=allowed)
     N = int(design.horizon)  # type: ignore[attr-defined]
     size = 8.0 * N * N * (4 * form.size + 3 * form.outputs + 4)
     if size > _MOST_BYTES:
@@ -255,23 +259,33 @@ def _check(design: PredictiveController, form: Formulation, base: FloatArray, N:
         return
     # with a plant that stays where it is, and no terminal cost of the Riccati equation
     column = np.append(base[0], np.zeros(form.layout.size - base.shape[1]))
-    values = form.check(np.zeros(form.size), 0.0, np.zeros(form.samples), column)
-    parts = form.linear_part(base[0])
-    for path, numbers in (("dynamics", parts), ("stage", (values,))):
-        if not all(np.isfinite(np.asarray(part)).all() for part in numbers):
-            hint = "a root, a quotient or an absolute value at 0 has none: add a small number to it"
-            raise InputError(f"{design.name}.{path}", "has no finite derivative at straight driving", hint=hint)
+    zero, away, p = np.zeros(form.size), 1.0 + 0.1 * np.arange(form.size), np.zeros(form.samples)
+    hint = "a root or a quotient at 0 has none: add a small number to it"
+    if not all(np.isfinite(np.asarray(part)).all() for part in form.linear_part(base[0])):
+        raise InputError(f"{design.name}.dynamics", "has no finite derivative at straight driving", hint=hint)
     for k in range(N):
-        p = np.zeros(form.samples)
         p[2] = k
+        if not np.isfinite(np.asarray(form.check(zero, 0.0, p, column)[0])).all():
+            raise InputError(f"{design.name}.stage", "has no finite derivative at straight driving", hint=hint)
+        # slopes on both sides of straight driving come together as these do, unless there is a kink
+        slopes = (np.asarray(form.check(e * away, e, p, column)[1]) for e in (1e-6, -1e-6, 1e-7, -1e-7))
+        right, left, near_right, near_left = slopes
+        jump = np.abs(near_right - near_left)
+        if kinks := np.flatnonzero((jump > 0.5 * np.abs(right - left)) & (jump > 1e-9)).tolist():
+            path = f"{design.name}.{'stage.cost' if kinks[0] <= form.size else 'terminal'}"
+            raise InputError(path, "has a kink at straight driving", hint="write ca.sqrt(x**2 + 1e-6) for abs(x)")
         bounds = [np.asarray(part).ravel() for part in form.limit(p, column)]
         for kind, i in (("u.delta", 0), ("u.change", 2)):
-            if not bounds[i] <= bounds[i + 1]:
+            if not bounds[i] <= 0.0 <= bounds[i + 1]:
                 value = f"{bounds[i][0]:g} to {bounds[i + 1][0]:g} rad at k = {k}"
-                raise InputError(f"{design.name}.stage.hard", value=value, allowed=f"limits of {kind}, low <= high")
-        low, high, linear, _ = bounds[4:]
-        if not (np.isfinite(linear).all() and (linear > 0).all() and (low <= high).all()):
-            raise InputError(f"{design.name}.stage.soft", f"at k = {k}", allowed="lower <= upper, and weights > 0")
+                allowed = f"limits of {kind}, low <= 0 <= high"
+                raise InputError(f"{design.name}.stage.hard", value=value, allowed=allowed)
+        for row, low, high, linear in zip(form.soft, *bounds[4:7], strict=True):
+            path, at = f"{design.name}.stage.soft[{row.soft}]", f"at k = {k + row.end}"
+            if not low <= high:
+                raise InputError(path, value=f"{low:g} to {high:g} {at}", allowed="lower <= upper")
+            if not 0.0 < linear < np.inf:
+                raise InputError(f"{path}.weight", value=f"{linear:g} {at}", allowed="a number > 0")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -553,6 +567,7 @@ class PlanningLaw(SteeringLaw):
         work.low[:], work.high[:] = low[0], high[0]
         work.low_change[:], work.high_change[:] = low_change, high_change
         solution = self._solve(work, history, soft, state, after, i)
+        solution.solved &= not bool(np.isnan([work.low, work.high]).any())  # limits that are no numbers
         command = float(solution.U[0])
         after.has_plan[i] = solution.solved
         of_angle, of_change = self.limited if solution.solved else (True, True)
@@ -610,16 +625,22 @@ class PredictiveLaw(PlanningLaw):
 
     rows: _SoftRows | None
 
+    @property
+    def most(self) -> int:
+        """Iterations of a solve; 0 for convergence."""
+        return 0 if self.design.iterations == "converged" else int(self.design.iterations)
+
     def _solve(
         self, work: Workspace, history: FloatArray, soft: list[FloatArray], state: Any, after: Any, i: int
     ) -> Solution:  # fmt: skip
         """By sequential quadratic programming, warm started from the last plan a sample later."""
         work.soft = None
         if self.rows is not None:
-            bounds = (np.ascontiguousarray(part).ravel() for part in soft)
+            bounds = np.stack([part.ravel() for part in soft])
+            bounds[:, bounds[3] <= 0.0] = [[-np.inf], [np.inf], [1.0], [1.0]]  # what costs nothing is no limit
             work.soft = SoftLimits(self.rows.rows, self.rows.before @ history, *bounds)
         warm = np.append(state.U[i, 1:], state.U[i, -1]) if state.has_plan[i] else None
-        return work.solve(warm, self.design.iterations)
+        return work.solve(warm, self.most)
 
 
 def _prepared(design: Controller, plant: Plant) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import inspect
 import os
 import platform
 import shutil
@@ -32,10 +33,13 @@ class Names:
             raise AttributeError(name)
         names = [key for key in self.__dict__ if not key.startswith("_")]
         names += [key for key in vars(type(self)) if not key.startswith("_")]
-        raise UnknownNameError(f"{self.__path}.{name}", "no such name", allowed=names)
+        hint = "the rate of a command is u.change / lane.dt" if self.__path.endswith(".u") else ""
+        raise UnknownNameError(f"{self.__path}.{name}", "no such name", allowed=names, hint=hint)
 
 
-_SYMBOLS: Final = "gains, states and lane are CasADi symbols: ca.if_else and ca.sqrt take them, if and math do not"
+_SYMBOLS: Final = (
+    "gains, states and lane are symbols of ca.SX: ca.if_else and ca.sqrt take them; if, math and MX do not"
+)
 
 
 def called(path: str, function: Callable[..., Any], *arguments: Any, hint: str = _SYMBOLS) -> Any:
@@ -51,6 +55,10 @@ def called(path: str, function: Callable[..., Any], *arguments: Any, hint: str =
             owner = getattr(design, "name", type(design).__name__)
             raise UnknownNameError(f"{owner}.{error.name}", "no such field", allowed=names) from error
         error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # from the designer's line on
+        if error.__traceback__ is None and design is not None:  # it takes other arguments than those of its base
+            name = path.rpartition(".")[2]
+            documented = next(vars(base)[name] for base in reversed(type(design).__mro__) if name in vars(base))
+            hint = f"its arguments are {', '.join(inspect.signature(documented).parameters)}"
         raise InputError(path, raised(error), hint=hint) from error
 
 
@@ -134,6 +142,6 @@ def checked_expression(path: str, value: Any, known: Any, allowed: str) -> Any:
     steps = ca.Function("steps", ca.symvar(scalar), [scalar])
     constants = (k for k in range(steps.n_instructions()) if steps.instruction_id(k) == ca.OP_CONST)
     if any(steps.instruction_constant(k) != steps.instruction_constant(k) for k in constants):
-        hint = "float() and functions of math make that of a symbol: use those of casadi or numpy"
+        hint = "float() and functions of math make that of a symbol: use those of casadi"
         raise InputError(path, "holds NaN", hint=hint)
     return ca.densify(scalar)

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.declared import Gain, check_declarations, declared_gains, document_gains
-from ldctoolkit.errors import CheckedArguments, InputError
+from ldctoolkit.errors import CheckedArguments, InputError, closest
 from ldctoolkit.vehicle import Plant
 
 State = tuple[FloatArray, FloatArray | None, FloatArray]
@@ -78,6 +78,8 @@ class Preview:
     heading: FloatArray
     # (n,) [rad] Steering angle of the wheels at the moment of the state that is seen; None where it is not measured
     wheel: FloatArray | None = None
+    # (n, 2) e_y [m] and e_psi [rad] of the camera's frame that a Kalman filter took in at this sample; NaN without one
+    frame: FloatArray | None = None
 
 
 @final
@@ -335,6 +337,9 @@ class Controller(CheckedArguments, abc.ABC):
     law_options: ClassVar[tuple[str, ...]] = ()
     """Options whose value is the registry name of another law, as the one inside a filter."""
 
+    symmetric: ClassVar[bool] = True
+    """Whether mirrored input gives the mirrored command; False where the crossed line is not treated as the other."""
+
     def __post_init__(self) -> None:
         check_class(type(self))
         for declared in self.gains():
@@ -374,6 +379,11 @@ def check_class(controller: type[Controller]) -> None:
             raise InputError(path, "a field of the dataclass", hint=f"write {attribute}: ClassVar[str] = ...")
         if not isinstance(value, str) or not value:
             raise InputError(path, value=value, allowed="a non-empty string, ClassVar[str]")
+    own, fields = vars(controller), {field.name for field in dataclasses.fields(controller)}
+    known = {name for base in controller.__mro__[1:] for name in vars(base)}
+    for name in own.keys() - fields - known:
+        if name[0] != "_" and (close := closest(name, sorted(known - own.keys() - fields), 0.85)):
+            raise InputError(f"{called}.{name}", "is never used", hint=f"did you mean {close!r}?")
     for field in dataclasses.fields(controller):
         if any(inspect.isroutine(vars(base).get(field.name)) for base in controller.__mro__[1:]):
             raise InputError(f"{called}.{field.name}", "is a method", hint="give the gain another name")

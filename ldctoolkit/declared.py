@@ -405,10 +405,16 @@ class UnitWarning(UserWarning):
 # field: (more than, less than, unit, the unit that was likely meant, its size): a value between the two is implausible
 _LENGTH: Final = ((40.0, 900.0, "m", "centimetres", 0.01), (900.0, 9000.0, "m", "millimetres", 0.001))
 _SLIPS: Final[dict[str, tuple[tuple[float, float, str, str, float], ...]]] = {
-    "vehicle.m": ((0.3, 100.0, "kg", "tonnes", 1000.0),),
-    "vehicle.I_z": ((0.3, 100.0, "kg m^2", "t m^2", 1000.0),),
+    **dict.fromkeys(("vehicle.m", "data_sheet.mass"), ((0.3, 100.0, "kg", "tonnes", 1000.0),)),
+    **dict.fromkeys(("vehicle.I_z", "data_sheet.yaw_inertia"), ((0.3, 100.0, "kg m^2", "t m^2", 1000.0),)),
     **dict.fromkeys(("vehicle.C_af", "vehicle.C_ar"), ((5.0, 500.0, "N/rad", "kN/rad", 1000.0),)),
     **dict.fromkeys(("vehicle.l_f", "vehicle.l_r", "vehicle.w_v", "vehicle.w_l"), _LENGTH),
+    **dict.fromkeys(("data_sheet.wheelbase", "data_sheet.width", "data_sheet.lane_width"), _LENGTH),
+    "data_sheet.understeer_gradient": (
+        (0.02, 0.7, "rad/(m/s^2)", "degrees per m/s^2", math.pi / 180.0),
+        (0.7, 20.0, "rad/(m/s^2)", "degrees per g", math.pi / 180.0 / 9.81),
+    ),
+    "data_sheet.rear_cornering_coefficient": ((0.02, 1.0, "1/rad", "1/deg", 180.0 / math.pi),),
     "actuator.rate_max": ((15.0, INF, "rad/s", "degrees per second", math.pi / 180.0),),
     "actuator.delta_max": ((2.0, INF, "rad", "degrees", math.pi / 180.0),),
     **dict.fromkeys(("actuator.lag", "actuator.delay", "sensors.delay"), ((5.0, INF, "s", "milliseconds", 0.001),)),

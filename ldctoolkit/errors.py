@@ -11,7 +11,7 @@ import inspect
 import itertools
 import re
 import traceback
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 from types import NoneType, UnionType
@@ -209,9 +209,17 @@ def nearest(name: str, allowed: Iterable[str], listing: str = "") -> str:
     """
     names = sorted(allowed)
     listing = f"allowed: {listing or ', '.join(names)}"
+    close = closest(name, names)
+    return f"did you mean '{close}'? ({listing})" if close else listing
+
+
+def closest(name: str, names: Sequence[str], cutoff: float = 0.5) -> str:
+    """The name that a mistyped one resembles by a share of its letters or more, whatever its case; or an empty text."""
     lower = {word.lower(): word for word in reversed(names)}
-    close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
-    return f"did you mean '{lower[close[0]]}'? ({listing})" if close else listing
+    for words, share in ((lower, max(cutoff, 0.6)), ([word for word in lower if len(word) > 3], cutoff)):
+        if close := difflib.get_close_matches(name.lower(), words, n=1, cutoff=share):
+            return lower[close[0]]
+    return ""  # short words have two letters in common by chance
 
 
 def first_line(error: BaseException) -> str:

@@ -1,5 +1,7 @@
 """Metrics: one table of what is measured beside S, what it is called and how it is shown, and the shares taken of it.
 
+A designer's metric is a `UserMetric`, a row like any other that brings the function which measures it.
+
 A metric of a scenario is a field of `MetricValues`, a row with its unit, title, digits and limit. A metric of a design
 is a row of `METRICS`: most are aggregates of a metric of its scenarios, and take their unit and title from it. Columns
 of the store and of ``ranking.csv``, names in requirements, axes and texts on pages follow from these rows.
@@ -9,17 +11,20 @@ aggregates and shares here. Arrays of n scenarios, or of (d, n) for d designs: e
 """
 
 import dataclasses
+import hashlib
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, unmasked
-from ldctoolkit.declared import checked_number
-from ldctoolkit.errors import InputError
+from ldctoolkit.code_content import content_of
+from ldctoolkit.declared import checked_choice, checked_number
+from ldctoolkit.errors import InputError, LdcError
 
 Better = Literal["less", "more"]
 Over = Literal["all", "interventions"]
@@ -56,10 +61,17 @@ class ScenarioMetric:
     limit: float = math.nan  # What a standard allows, NaN where none says anything
     short: str = ""  # Another beginning of its aggregates' names: ``ay_p95`` for ``a_y_peak_p95``
 
+    def column(self, name: str) -> str:
+        """The column of a table for it, or an aggregate of it, of that name."""
+        return _column(name, self.unit)
+
+
+_PURE: Final = ("ratio", "share", "count")  # units that no column's name ends with
+
 
 def _column(name: str, unit: str) -> str:
     """A column with the unit at the end: ``a_y_peak_m_s2``."""
-    return f"{name}_{unit.replace('/', '_').replace('^', '').replace(' ', '_')}"
+    return name if unit in _PURE else f"{name}_{unit.replace('/', '_').replace('^', '').replace(' ', '_')}"
 
 
 def _row(*entries: Any, **options: Any) -> dict[str, ScenarioMetric]:
@@ -122,6 +134,14 @@ SCENARIO_METRICS: Final[Mapping[str, ScenarioMetric]] = {
 }
 """Every metric of a scenario beside S by its name."""
 
+_user: dict[str, "UserMetric"] = {}  # rows of designers' metrics by name, the latest of each
+
+
+def scenario_metric(name: str) -> ScenarioMetric:
+    """The row of a metric of a scenario, the toolkit's or a designer's."""
+    return SCENARIO_METRICS.get(name) or _user[name]
+
+
 METRIC_UNITS: Final = {name: row.unit for name, row in SCENARIO_METRICS.items()}  # metric of a scenario -> its unit
 
 METRIC_COLUMNS: Final = {name: _column(name, row.unit) for name, row in SCENARIO_METRICS.items()}
@@ -156,7 +176,12 @@ _SHOWN_UNITS: Final[Mapping[str, tuple[float, str]]] = {
 }
 """Unit -> factor and unit on a page; others stand as they are."""
 
-_AGGREGATES: Final[Mapping[str, str]] = {"mean": "mean", "median": "median", "min": "least", "max": "largest"}
+MEAN_OF_ALL: Final = "mean_all"
+"""The aggregate that designs can be ranked by: the mean over all departures, with or without an intervention."""
+
+_AGGREGATES: Final[Mapping[str, str]] = {
+    "mean": "mean", "median": "median", "min": "least", "max": "largest", MEAN_OF_ALL: "mean of all departures"
+}  # fmt: skip
 """Aggregate -> end of a title; ``p95`` is the 95 % quantile."""
 
 
@@ -184,8 +209,8 @@ class Metric:
     digits: int  # Decimals on a page, in its shown unit
     aliases: tuple[str, ...] = ()  # Other names beside the column
     of: tuple[str, ...] = ()  # The metrics of a scenario that it is taken from
-    # ``"mean"``, ``"median"``, ``"min"``, ``"max"``, or a quantile as ``"p95"``; empty for a share and for what comes
-    # from elsewhere
+    # ``"mean"``, ``"mean_all"``, ``"median"``, ``"min"``, ``"max"``, or a quantile as ``"p95"``; empty for a share and
+    # for what comes from elsewhere
     aggregate: str = ""
     # Of `Interventions` and the values of the metrics `of`, (d, n) each; gives (d,)
     share: Callable[..., Any] | None = None
@@ -208,7 +233,7 @@ class Metric:
 
 def _of(name: str, *aggregates: str, title: str = "", alias: str = "") -> Iterator[Metric]:
     """The rows of a design's table that are aggregates of a scenario's metric."""
-    row = SCENARIO_METRICS[name]
+    row = scenario_metric(name)
     for aggregate in aggregates:
         full, end = f"{name}_{aggregate}", _AGGREGATES.get(aggregate, f"{aggregate[1:]} % quantile")
         aliases = tuple(text for text in (alias, row.short and f"{row.short}_{aggregate}") if text)
@@ -297,6 +322,113 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _metrics_by_name(
 """What a release requires beside S, by its name, in the order of ``ranking.csv``."""
 
 METRICS: Final[Mapping[str, Metric]] = {**_RANKED, **RELEASE_METRICS}  # every metric of a design by its name
+
+
+# ------------------------------------------------------------------------------------------------ of a designer
+
+USER_GROUP: Final = "user"  # `Metric.group` of designers' metrics
+USER_AGGREGATES: Final = ("mean", MEAN_OF_ALL, "median", "p5", "p95", "min", "max")
+
+
+@dataclasses.dataclass(frozen=True)
+class UserMetric(ScenarioMetric):
+    """A designer's metric of a scenario, made with `metric`; called with `Paths` of n scenarios it gives (n,)."""
+
+    name: str = ""
+    code: str = ""  # Content of the function: edited, it is another metric
+    source: str = ""  # How a study file names it; empty where it was given as an object
+    function: Callable[[Any], Any] | None = field(default=None, compare=False, repr=False)
+
+    def __call__(self, paths: Any) -> Any:
+        """What the function gives; `LdcError` where only the stored numbers of the metric are known."""
+        if self.function is None:
+            hint = "run the study from its file, or with the metric itself"
+            raise LdcError(f"metric {self.name}", "its function is not known here, or was edited", hint=hint)
+        return self.function(paths)
+
+    def content(self) -> dict[str, Any]:
+        """All but the function, in plain JSON types."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in ("function", "limit")}
+
+    @property
+    def rows(self) -> dict[str, Metric]:
+        """The metrics of a design that are its aggregates, by their names; the mean has the metric's own name too."""
+        mean, others = _of(self.name, "mean", alias=self.name), _of(self.name, *USER_AGGREGATES[1:])
+        return {row.name: row for row in (*mean, *others)}
+
+
+_functions: dict[tuple[str, str], Callable[[Any], Any]] = {}  # of designers' metrics by name and content
+_user_rows: dict[str, dict[str, Metric]] = {}  # a designer's metric -> its rows
+
+
+def declare(metric: UserMetric) -> UserMetric:
+    """Make the rows of a designer's metric known; one without its function gets it, where this process has met it."""
+    function = metric.function or _functions.get((metric.name, metric.code))
+    if function is not None:
+        _functions[metric.name, metric.code] = function
+    _user[metric.name] = metric = dataclasses.replace(metric, function=function)
+    _user_rows[metric.name] = metric.rows
+    return metric
+
+
+def user_rows() -> dict[str, Metric]:
+    """Rows of all designers' metrics that are known by name, alias and column."""
+    rows = [row for rows in _user_rows.values() for row in rows.values()]
+    return {name: row for row in rows for name in (row.name, row.column, *row.aliases)}
+
+
+def metric(
+    *, unit: str, title: str = "", better: Better = "less", over: Over = "interventions", digits: int = 3
+) -> Callable[[Callable[[Any], Any]], UserMetric]:
+    """Make a metric of a function of `Paths`; used as a decorator, in a study as ``metrics=[...]``.
+
+    Raises `InputError` for a name that a metric of the toolkit has, and for arguments outside what is allowed.
+
+    Parameters
+    ----------
+    unit : str
+        SI unit, ``"m/s^2"``; ``"ratio"`` for a pure number, ``"share"`` for a part from 0 to 1, ``"count"``.
+    title : str
+        What tables and axes call it; the function's name by default.
+    better : {"less", "more"}
+        Which way is good.
+    over : {"interventions", "all"}
+        Which departures its aggregates are taken over: those where the design took over, or all.
+    digits : int
+        Decimals in tables.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ldctoolkit as ldc
+    >>> @ldc.metric(unit="m", title="Widest offset")
+    ... def widest(paths):
+    ...     return np.nanmax(np.abs(paths.e_y), axis=1)
+    >>> study = ldc.study(ldc.LQR, left=5, right=5, metrics=[widest], require="widest_p95 <= 2.0")
+    >>> results = ldc.run_study(study, workers=1)
+    >>> results.user_metrics["widest"].shape
+    (1, 10)
+    """
+    for name, text in (("unit", unit), ("title", title)):
+        if not isinstance(text, str):
+            raise InputError(f"metric: {name}", value=text, allowed="text")
+    checked_choice("metric: better", better, get_args(Better))
+    checked_choice("metric: over", over, get_args(Over))
+
+    def made(function: Callable[[Any], Any]) -> UserMetric:
+        name = getattr(function, "__name__", "")
+        if not callable(function) or not name.isidentifier():
+            raise InputError("metric", value=function, allowed="a function with a name, of Paths")
+        taken = {*SCENARIO_METRICS, *METRICS, *itertools.chain(*((m.column, *m.aliases) for m in METRICS.values()))}
+        if taken & {name, *(f"{name}_{aggregate}" for aggregate in USER_AGGREGATES)}:
+            raise InputError("metric", "is the name of a metric of the toolkit", value=name, hint="choose another")
+        # which way is good decides what counts in a departure that failed
+        code = hashlib.sha256(f"{content_of(function)} {better}".encode()).hexdigest()[:16]
+        one = "ratio" if unit in ("", "1") else unit
+        row = UserMetric(one, title or name.replace("_", " "), USER_GROUP, digits, over, better, name=name, code=code)
+        return dataclasses.replace(row, function=function)
+
+    return made
 
 
 # ------------------------------------------------------------------------------------------------ reduction and shares

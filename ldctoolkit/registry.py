@@ -1,4 +1,7 @@
-"""Controllers by name: registered in the running program, or found by the entry-point group of installed packages."""
+"""Controllers by name: registered in the running program, or found by the entry-point group of installed packages.
+
+What a study file names as ``FILE.py:NAME`` is loaded here too, whatever it is.
+"""
 
 import functools
 import hashlib
@@ -157,7 +160,8 @@ def controller_class(name: str) -> type[Controller]:
         return _registered[name]
     point = entry_points(GROUP).get(name)
     if point is None:
-        raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names())
+        hint = "a class of your own needs an entry point, or ldctoolkit.register(...) in each program"
+        raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names(), hint=hint)
     return _load(name, point)
 
 

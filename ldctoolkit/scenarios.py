@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import warnings
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -221,6 +223,44 @@ class Scenarios(DepartureParameters):
         _refuse(~(rate < scenarios.v_mean), "lateral_velocity", rate, "below the speed")
         deepest = drift.motion(scenarios.v_mean, scenarios.T)[0]
         return dataclasses.replace(scenarios, d_y=np.maximum(deepest, 0.0), drift=drift)
+
+    def to_openscenario(
+        self, folder: str | Path, rows: bool | npt.ArrayLike = True, outcome: Any = None, *, setup: Any = None,
+        reference: Literal["centre_of_gravity", "rear_axle"] = "centre_of_gravity",
+        format: Literal["openscenario", "csv"] = "openscenario",
+    ) -> tuple[Path, ...]:  # fmt: skip
+        """Write departures as OpenSCENARIO 1.0 files and OpenDRIVE roads, or as tables; returns the k main files.
+
+        The plane is that of `Trajectories.world`; of a recorded path alone the origin is where the departure starts.
+        Raises `InputError` for rows that do not exist or cannot be driven, or an outcome of other scenarios, of another
+        setup, or without the paths; `LdcError` without the extra ``scenario``, or where nothing can be written.
+
+        Parameters
+        ----------
+        folder : str or path
+            Where ``departure-NUMBER.xosc`` and ``.xodr``, or ``.csv``, go.
+        rows : bool or (k,) int
+            Row numbers of the scenarios, or true for all.
+        outcome : Outcome, optional
+            From `simulate` with ``trajectories``: its corrected paths begin at the trigger, an event. Else recorded.
+        setup : Setup, optional
+            The one that was driven with: lane, vehicle, and what is drawn for the recorded path.
+        reference : {"centre_of_gravity", "rear_axle"}
+            The vehicle's point that positions are of, from which bounding box and axles are measured.
+        format : {"openscenario", "csv"}
+            Columns: ``t_s, x_m, y_m, heading_rad, speed_m_s, wheel_angle_rad, trigger_time_s``.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import ldctoolkit as ldc
+        >>> right = ldc.Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=25.0, side="right")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     [file.name for file in right.to_openscenario(folder)]
+        ['departure-000000.xosc']
+        """
+        export = importlib.import_module("ldctoolkit.other_simulators").export_scenarios  # it lies above
+        return tuple(export(self, folder, rows, outcome, setup, reference, format))
 
     def arrays(self) -> Iterator[npt.NDArray[Any]]:
         """All arrays that describe the scenarios, always in the same order."""

@@ -70,13 +70,13 @@ class _Drive:
         never = ~np.isfinite(t[:, 0])
         if never.any():
             times = T[:, None] * np.linspace(0.0, 1.0, k)
-            t[never], x[never], delta[never] = times[never], takeover.recorded_state(times)[never], 0.0
+            t[never], x[never], delta[never] = times[never], takeover.recorded_motion(times)[0][never], 0.0
         last = np.isfinite(t).sum(axis=1) - 1
         sample, rows = np.minimum(np.arange(k), last[:, None]), np.arange(n)[:, None]
         delta_0 = np.zeros(n)
         delta_0[takeover.rows] = takeover.delta_0
         earlier = t[:, :1] * np.linspace(0.0, 1.0, max(math.ceil(t[:, 0].max() / takeover.setup.dt), 1), endpoint=False)
-        x = np.concatenate([takeover.recorded_state(earlier), x[rows, sample]], axis=1)
+        x = np.concatenate([takeover.recorded_motion(earlier)[0], x[rows, sample]], axis=1)
         return cls(takeover, outcome, np.c_[earlier, t[rows, sample]], x, delta[rows, sample], delta_0, limit)
 
     def cubics(self, arm: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -4,13 +4,14 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import Field, InstanceOf, PrivateAttr, ValidationInfo, model_serializer, model_validator
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.code_content import content_of
+from ldctoolkit.code_content import content_of, from_file
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import (
     Gain,
@@ -23,7 +24,7 @@ from ldctoolkit.declared import (
     find_gain,
 )
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.registry import code_of, controller_class, laws_inside
+from ldctoolkit.registry import code_of, controller_class, controller_names, laws_inside, register
 from ldctoolkit.validation import Part
 
 from .design import CONVENTION_GAIN, Design
@@ -331,6 +332,7 @@ class DesignBlock(Part):
     # Conditions: gain -> other gain of the same law -> its values for which the first one varies
     when: dict[str, dict[str, tuple[Any, ...]]] = Field(default_factory=dict)
     sample: SampleSettings | None = None  # Take points of the space instead of the full grid
+    files: dict[str, str] = Field(default_factory=dict)  # Where laws of files are found, by their names
 
     _kinds: tuple[type[Controller], ...] = PrivateAttr()
 
@@ -341,8 +343,10 @@ class DesignBlock(Part):
     @model_validator(mode="before")
     @classmethod
     def _check(cls, block: Any, info: ValidationInfo) -> Any:
-        if not isinstance(block, dict) or "law" not in block:
-            return block  # the field's own message says what is missing
+        if not isinstance(block, dict):
+            return block
+        if "law" not in block:  # the field's own message says so, or that the key is another
+            return {key: block[key] for key in block.keys() - {"y_s", "gains", "when"}}
         checked = dict(block)
         names, kinds = _read_laws(block["law"], info.context)
         checked["law"] = names[0] if len(names) == 1 else names
@@ -361,7 +365,7 @@ class DesignBlock(Part):
         gains = {name: _written(entry) for name, entry in self.gains.items()}
         content = {"law": self.law, "y_s": _written(self.y_s), "gains": gains}
         # a full grid is reported as it was before there were samples and conditions
-        return content | {key: value for key in ("when", "sample") if (value := getattr(self, key))}
+        return content | {key: value for key in ("when", "sample", "files") if (value := getattr(self, key))}
 
     @property
     def laws(self) -> tuple[str, ...]:
@@ -445,6 +449,48 @@ def _written(entry: Any) -> Any:
 
 def _dimension(entry: tuple[Any, ...] | Span) -> Dimension:
     return entry if isinstance(entry, Span) else Choices(entry)
+
+
+_LAW: Final = "FILE.py:NAME of a controller or its class"
+
+
+def named_laws(
+    table: dict[str, Any], classes: dict[str, type[Controller]], folder: Path = Path(), path: str = "design"
+) -> dict[str, Any]:
+    """A design table with names for laws that were given as designs, classes or FILE.py:NAME; they are registered.
+
+    Its ``files`` are the places of the last, by name: another process finds them there.
+    """
+    laws, files, names, gains = table.get("law"), table.get("files", {}), list[Any](), dict[str, Any]()
+    stored = [place for name, place in files.items() if name not in classes] if isinstance(files, dict) else []
+    for law in [*stored, *(laws if isinstance(laws, list | tuple) else [laws])]:
+        of_file = isinstance(law, str) and ".py:" in law
+        given = from_file(path, law, folder, _LAW) if of_file else law
+        if isinstance(given, Controller):
+            gains |= {gain.name: getattr(given, gain.name) for gain in given.gains()}
+            given = type(given)
+        if isinstance(given, type) and issubclass(given, Controller):
+            if given.name not in controller_names() or controller_class(given.name) is not given:
+                register(given)
+            if content_of(classes.setdefault(given.name, given)) != content_of(given):
+                raise InputError(path, "names two different laws", value=given.name, allowed="a name for each")
+            files = {**files, given.name: str((folder / law).resolve())} if of_file else files
+            given = given.name
+        elif of_file:
+            raise InputError(path, "is no controller", value=law, allowed=_LAW)
+        names.append(given)
+    names, written = names[len(stored) :], table.get("gains", {})
+    table = table | {"law": names if isinstance(laws, list | tuple) else names[0]} | ({"files": files} if files else {})
+    return table | ({"gains": gains | written} if gains and isinstance(written, dict) else {})
+
+
+def load_laws(content: dict[str, Any], folder: Path, classes: dict[str, type[Controller]]) -> dict[str, Any]:
+    """What a study file holds, with its laws known to this process and named."""
+    if not isinstance(tables := content.get("design"), list | tuple):
+        return content
+    laws = {i for i, table in enumerate(tables) if isinstance(table, dict) and "law" in table}
+    named = (named_laws(t, classes, folder, f"design[{i}].law") if i in laws else t for i, t in enumerate(tables))
+    return content | {"design": [*named]}
 
 
 def _read_laws(entry: Any, classes: Mapping[str, type[Controller]] | None) -> tuple[tuple[str, ...], tuple[Any, ...]]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
-from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT, METRICS, Metric
+from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT, MEAN_OF_ALL, METRICS, Metric, user_rows
 from ldctoolkit.plant_options import PlantOptions
 
 from .standards import load_standard, standard_names
@@ -27,16 +27,26 @@ _ALIASES: Final = {
 
 def metric(name: str) -> Metric:
     """The metric of a name, of an alias (``ay_p95``), or of a column of ``ranking.csv``; or the score in a standard."""
-    known = _ALIASES.get(name, name)
+    known, users = _ALIASES.get(name, name), user_rows()
+    if known in users:
+        return users[known]
     if known in standard_names():
         title, column = f"{load_standard(known).title}, cells passed", f"{known.replace('-', '_')}_share"
         return Metric(known, "share", "more", column, title, "lane", 1)
     if known not in METRICS:
         # the beginning of an alias, such as ``ay``, is too short to be compared by its letters
         begun = next((target for alias, target in _ALIASES.items() if name and alias.startswith(name)), name)
-        known_names = (*METRICS, *standard_names())
+        known_names = (*METRICS, *users, *standard_names())
         raise UnknownNameError("metric", "is no metric", value=name, hint=nearest(begun, known_names))
     return METRICS[known]
+
+
+def criterion(name: str) -> Metric:
+    """The metric of a design that `rank_by` stands for: S, or the mean of a designer's metric over all departures."""
+    means = {row.of[0]: row for row in user_rows().values() if row.aggregate == MEAN_OF_ALL}
+    if name != "S" and name not in means:
+        raise InputError(value=name, allowed=("S", *means), hint="a metric of your own stands in metrics, too")
+    return means.get(name, METRICS["S"])
 
 
 def metric_values(name: str, source: Any) -> FloatArray:

@@ -18,7 +18,8 @@ from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, facts_html
 from ldctoolkit.clusters import with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
-from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues
+from ldctoolkit.errors import InputError
+from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues, scenario_metric
 from ldctoolkit.scenario_model.refit import FEWEST
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -70,7 +71,7 @@ class TaskResult:
 
     ids: tuple[str, ...]  # (k,) Identifiers of the designs
     rows: IntArray  # (m,) Row numbers of the scenarios in the study
-    values: FloatArray  # (c, k, m) S, S_uncorrected and the metrics of `MetricValues`
+    values: FloatArray  # (c, k, m) S, S_uncorrected, the metrics of `MetricValues`, then those of the designer
     status: npt.NDArray[np.int8]  # (k, m)
     failed_solves: npt.NDArray[np.int32]  # (k, m)
     law_seconds: FloatArray  # (k,) [s] Wall time inside the laws' own steps
@@ -182,6 +183,9 @@ class StudyResults(Frame):
     replayed: StudyResults | None = None  # The finalists on recorded departures
     refits: RefitScores | None = None  # The winner and the baseline on refitted models; None where left out
     setup: Setup | None = None  # Of the runs; None where it is not known
+    # Name -> (d, n) of each metric of the designer's, as it counts: in a departure that failed at least as bad as on
+    # its recorded path. NaN where it gave none
+    user_metrics: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
     def _repr_html_(self) -> str:
         """HTML for a notebook, without the tables of numbers, which may be large."""
@@ -227,6 +231,31 @@ class StudyResults(Frame):
             counted[i, failed[i]] = np.maximum(self.S[i, failed[i]], self.S_uncorrected[i, failed[i]])
         return counted
 
+    def of_scenarios(self, name: str) -> FloatArray:
+        """A metric of the scenarios by its name, the toolkit's or the designer's, (d, n)."""
+        values: FloatArray | None = (
+            getattr(self.metrics, name) if name in METRIC_COLUMNS else self.user_metrics.get(name)
+        )
+        if values is None:
+            hint = "run the study with it in metrics into the same folder"
+            raise InputError("metric", "was not measured in this run", value=name, hint=hint)
+        return values
+
+    def costs(self, rank_by: str) -> FloatArray:
+        """What a ranking is made of, (d, n): S as it counts, or a designer's metric, negative where more is better.
+
+        Raises `InputError` where a value is not finite. Not to be written into.
+        """
+        if rank_by == "S":
+            return self.counted
+        values, sign = self.of_scenarios(rank_by), -1.0 if scenario_metric(rank_by).better == "more" else 1.0
+        wrong = ~np.isfinite(values) & (self.status != EventStatus.INVALID)
+        if (rows := np.flatnonzero(wrong.any(axis=1))).size:
+            counted = f"{wrong[rows[0]].sum():,} departures of {self.designs[rows[0]].label}"
+            hint = "a mean would drop or hide it: let the metric be a number everywhere"
+            raise InputError("ranking.rank_by", f"not finite in {counted}", value=rank_by, hint=hint)
+        return sign * values
+
     @functools.cached_property
     def drivable(self) -> BoolArray:
         """Scenarios that every design could be driven on, (n,). Not to be written into."""
@@ -238,6 +267,7 @@ class StudyResults(Frame):
         changes: dict[str, Any] = {name: getattr(self, name)[:, columns] for name in ("S", "status", "failed_solves")}
         changes["S_uncorrected"] = _take_columns(self.S_uncorrected, columns)
         changes["metrics"] = per_scenario(self.metrics, lambda a: a[:, columns])
+        changes["user_metrics"] = {name: values[:, columns] for name, values in self.user_metrics.items()}
         return dataclasses.replace(self, scenarios=self.scenarios.take(np.flatnonzero(columns)), **changes)
 
     def on_drivable(self) -> StudyResults:
@@ -255,6 +285,7 @@ class StudyResults(Frame):
         tables, sides = [], np.where(self.scenarios.side == LEFT, "left", "right")
         columns: dict[str, Any] = {f"{name}_{self.window}_m_s": getattr(self, name) for name in ("S", "S_uncorrected")}
         columns |= {column: getattr(self.metrics, name) for name, column in METRIC_COLUMNS.items()}
+        columns |= {scenario_metric(name).column(name): values for name, values in self.user_metrics.items()}
         columns |= {"status": STATUS_NAMES[self.status], "failed_solves": self.failed_solves}
         for i, design in enumerate(self.designs):
             facts = {"design": design.id, "label": design.label, "law": design.law, "y_s_m": design.y_s}

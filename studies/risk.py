@@ -23,6 +23,7 @@ from ldctoolkit.control import EventStatus
 from ldctoolkit.declared import checked_whole
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, SIDES, DepartureParameters
 from ldctoolkit.errors import InputError, LdcError, StoreError
+from ldctoolkit.metrics import USER_GROUP
 from ldctoolkit.scenario_model import ScenarioModel, conditions
 from ldctoolkit.scenario_model.model import meeting
 from ldctoolkit.scenario_model.refit import FEWEST, NOT_KEPT, REFITS, uncertainty
@@ -32,8 +33,9 @@ from ldctoolkit.setup import Setup
 from .design import NO_CONTROL, Design
 from .ranking.inference import exact_interval, paired_sign
 from .ranking.verdict import Light, State
+from .requirements import parse_requirement
 from .runner import study_source
-from .running.campaign import laws_to_send
+from .running.campaign import laws_to_send, metrics_to_send
 from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
 from .running.dispatch import Executor, Lost, Progress, closing, displayed, run_works
 from .running.executors import make_executor
@@ -207,7 +209,7 @@ class Risk:
                 by_sign[pair.sign].append(f"{event} ({' against '.join(dict.fromkeys(shown))})")
         titles = {"worse than no control": by_sign[1], "better": by_sign[-1], "not separable": by_sign[0]}
         text = "; ".join(f"{title}: {', '.join(events)}" for title, events in titles.items() if events)
-        red = any(not event.startswith("opposite") for event in by_sign[1])
+        red = any(event.startswith(("depth", "DTLE", "diverged")) for event in by_sign[1])
         state: State = "bad" if red else "good" if by_sign[-1] and not by_sign[1] else "warning"
         return Light("Tail", state, f"{text[0].upper()}{text[1:]}." if text else "No event differs.")
 
@@ -355,6 +357,7 @@ def estimate_risk(
     progress: bool | Progress | None = None,
     depths: Sequence[float] = DEPTHS,
     dtle_limits: Sequence[float] = DTLE_LIMITS,
+    metric_limits: Sequence[str] = (),
     chunk: int | None = None,
     notice: Callable[[str], None] | None = None,
 ) -> Risk:
@@ -381,6 +384,8 @@ def estimate_risk(
         As in `run_study`; no number depends on them.
     depths, dtle_limits : sequence of float [m]
         Depths beyond the line and distances to the lane edge whose probabilities are estimated.
+    metric_limits : sequence of str
+        The same of the study's own metrics, as ``"time_outside > 1.0"``.
     chunk : int, optional
         Departures that are drawn and driven together; numbers depend on it as on a seed.
     notice : callable, optional
@@ -413,7 +418,13 @@ def estimate_risk(
         if not all(least < x < np.inf for x in values):
             raise InputError(name, value=list(values), allowed=f"numbers{' > 0' if least == 0.0 else ''} [m]")
     active = tuple({design.id: design for design in designs if not design.is_baseline}.values())
-    slow = any(design.batch < _USUAL_BATCH for design in active)
+    limits = tuple(map(parse_requirement, metric_limits))
+    known = {metric.name: metric for metric in study.metrics}
+    for of, text in zip(limits, metric_limits, strict=True):
+        if of.metric.group != USER_GROUP or of.metric.aggregate != "mean" or of.metric.of[0] not in known:
+            raise InputError("metric_limits", value=text, allowed=[f"{name} > NUMBER" for name in known] or "no metric")
+    metrics = tuple(known[name] for name in dict.fromkeys(of.metric.of[0] for of in limits))
+    slow = bool(metrics) or any(design.batch < _USUAL_BATCH for design in active)
     runs_on = make_executor(executor, workers, dask)
     job = ChunkJob(
         designs=(Design.from_gains(NO_CONTROL, active[0].y_s if active else 0.2, {}), *active),
@@ -427,6 +438,8 @@ def estimate_risk(
         dtle_limits=tuple(sorted({float(x) for x in dtle_limits}, reverse=True)),
         refits=0 if source.provenance.recorded is None else REFITS,
         laws=laws_to_send(design.kind for design in active) if runs_on.isolated else b"",
+        metrics=metrics_to_send(metrics) if metrics and runs_on.isolated else metrics,
+        limits=limits,
         token=time.time_ns(),
     )
     folder = None if directory is None else output_folder(Path(directory))

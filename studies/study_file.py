@@ -12,15 +12,25 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_type_hints
 
-from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, ValidationError, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    InstanceOf,
+    PlainSerializer,
+    PrivateAttr,
+    ValidationError,
+    create_model,
+    model_validator,
+)
 
 from ldctoolkit.checked_files import read_toml
-from ldctoolkit.code_content import content_of, from_file
+from ldctoolkit.code_content import from_file
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError, raised
+from ldctoolkit.metrics import MEAN_OF_ALL, UserMetric, declare, user_rows
 from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.registry import controller_class, controller_names, register
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
@@ -29,8 +39,8 @@ from ldctoolkit.vehicle import Convention, VehicleModel
 from ldctoolkit.vehicle.bicycle import VehicleParameters
 
 from .design import Design
-from .design_space import DesignBlock, check_blocks
-from .requirements import SETS, metric, parse_requirement
+from .design_space import DesignBlock, check_blocks, load_laws, named_laws
+from .requirements import SETS, criterion, metric, parse_requirement
 from .standards import VEHICLES, standard_names
 
 _MODEL: Final = "FILE.py:NAME of a VehicleModel, or an object of one"
@@ -137,6 +147,8 @@ def _vehicle_name(name: str) -> str:
 class RankingSettings(Part):
     """``[ranking]``."""
 
+    # What designs are ranked by: mean S, or the mean of one of the designer's metrics over all departures
+    rank_by: Annotated[str, AfterValidator(lambda name: (criterion(name).of or ("S",))[0])] = "S"
     bootstrap: int = Field(default=2000, ge=100, le=1_000_000)  # Resamples of the scenarios behind every interval
     confidence: float = Field(default=0.95, gt=0, lt=1)  # Of the intervals, all designs together
     # The design that all others are compared with beside the best: a law's name (its first design), or the start of a
@@ -294,6 +306,38 @@ def _vehicle(entry: Any) -> Any:
         raise error.at(error.path.removeprefix("vehicle.")) from None
 
 
+def _user_metrics(entry: Any) -> Any:
+    """Designers' metrics, as objects or as `UserMetric.content`; each of its own name."""
+    metrics: list[UserMetric] = []
+    for i, value in enumerate(entry if isinstance(entry, tuple) else (entry,)):
+        metric = UserMetric(**value) if isinstance(value, dict) and "code" in value else value
+        if not isinstance(metric, UserMetric):
+            allowed = "a function with the decorator @ldc.metric(unit=...), or FILE.py:NAME of one"
+            raise InputError(f"[{i}]", value=value, allowed=allowed)
+        if metric.name in (other.name for other in metrics):
+            raise InputError(f"[{i}]", "is the name of two metrics", value=metric.name, allowed="a name for each")
+        metrics.append(declare(metric))
+    return tuple(metrics)
+
+
+def _loaded_metrics(entry: Any, folder: Path) -> list[Any]:
+    """The entries of ``metrics``, those that are texts loaded from their files."""
+    metrics = []
+    for i, value in enumerate(entry if isinstance(entry, list | tuple) else [entry]):
+        if isinstance(value, str):
+            found = from_file(f"metrics[{i}]", value, folder, "FILE.py:NAME of a metric")
+            value = dataclasses.replace(found, source=value) if isinstance(found, UserMetric) else found
+        metrics.append(value)
+    return metrics
+
+
+UserMetrics = Annotated[
+    tuple[InstanceOf[UserMetric], ...],
+    BeforeValidator(_user_metrics),
+    PlainSerializer(lambda metrics: [metric.content() for metric in metrics]),
+]
+
+
 class Study(Part):
     """A study: what is run, on what, and how it is ranked. Made with `from_toml` or from keyword arguments.
 
@@ -318,6 +362,7 @@ class Study(Part):
     # What differs from the ideal plant; nothing by default
     plant: Annotated[PlantOptions, BeforeValidator(read_plant)] = Field(default_factory=PlantOptions)
     report: ReportSettings = Field(default_factory=ReportSettings)
+    metrics: UserMetrics = ()  # The designer's own, whose names the tables below may use
     ranking: RankingSettings = Field(default_factory=RankingSettings)
     search: SearchSettings | None = None  # Ask for designs instead of running all that the tables stand for
     design: tuple[DesignBlock, ...]
@@ -334,10 +379,15 @@ class Study(Part):
     @model_validator(mode="before")
     @classmethod
     def _front_of_the_search(cls, content: Any) -> Any:
-        """Several objectives of a search are the metrics of the Pareto front, unless others are written down."""
+        """Several objectives of a search are the metrics of the Pareto front, unless others are written down; what
+        designs are ranked by is its objective where it names none.
+        """
         if not isinstance(content, dict) or not isinstance(content.get("search"), dict):
             return content
         objectives, ranking = content["search"].get("objectives"), content.get("ranking", {})
+        if objectives is None and isinstance(ranking, dict) and ranking.get("rank_by", "S") != "S":
+            of = f"{ranking['rank_by']}_{MEAN_OF_ALL}"
+            return content | {"search": content["search"] | {"objectives": (of,)}}
         several = isinstance(objectives, list | tuple) and len(objectives) > 1
         if not several or not isinstance(ranking, dict) or "pareto" in ranking:
             return content
@@ -353,6 +403,15 @@ class Study(Part):
         size = 0 if self.search else sum(block.size for block in self.design)
         if size > MOST_DESIGNS:
             raise InputError("design", f"the grids make {size} designs", allowed=f"at most {MOST_DESIGNS}")
+        return self
+
+    @model_validator(mode="after")
+    def _own_metrics(self) -> Self:
+        names = [metric.name for metric in self.metrics]  # another study of this process may have others
+        for text in (*self._metrics, self.ranking.rank_by):
+            row = user_rows().get(re.split("[ <>=]", text)[0]) if text != "S" else None
+            if row is not None and row.of[0] not in names:
+                raise InputError("metrics", f"without {row.of[0]}, which is named", value=text, allowed=names or "none")
         return self
 
     @model_validator(mode="after")
@@ -421,8 +480,12 @@ class Study(Part):
         """
         known = dict(models or {})
         try:
-            content = _with_models(content, None if folder is None else Path(folder), known)
-            study = cls.model_validate(as_tuples(content), context=classes)
+            place = Path(folder or ".")
+            content = load_laws(content, place, laws := dict(classes or {}))
+            content = _with_models(content, None if folder is None else place, known)
+            if "metrics" in content:
+                content = content | {"metrics": _loaded_metrics(content["metrics"], place)}
+            study = cls.model_validate(as_tuples(content), context=laws)
             study._models = known
             study.setup()
             if study.vehicle_model and (named := [name for name in study.vehicles if isinstance(name, str)]):
@@ -529,12 +592,14 @@ class Study(Part):
         """What decides the stored numbers: `inputs`, how many scenarios there are, and the designs."""
         same = self.inputs()
         same["scenarios"] |= {"left": self.scenarios.left, "right": self.scenarios.right}
+        same |= {"metrics": {metric.name: metric.code for metric in self.metrics}} if self.metrics else {}
         if self.vehicle_model:
             same["vehicle"]["model"] = self.vehicle_models[self.vehicle_model].identity
         if self.search is None:
             return same | {"designs": [design.id for design in self.designs]}
         content = self.content()
-        same |= {key: content[key] for key in ("search", "design")}
+        tables = [{key: table[key] for key in table if key != "files"} for table in content["design"]]
+        same |= {"search": content["search"], "design": tables}
         return same | ({"laws": laws} if (laws := self.laws()) else {})
 
     @property
@@ -563,7 +628,8 @@ def toml_text(study: Study) -> str:
     """The study with every default written out."""
     import tomli_w
 
-    return _LIST.sub(_on_one_line, tomli_w.dumps(_without_none(study.content())))
+    named = [metric.source or metric.name for metric in study.metrics]  # objects have no name that a file could use
+    return _LIST.sub(_on_one_line, tomli_w.dumps(_without_none(study.content() | {"metrics": named})))
 
 
 def _on_one_line(match: re.Match[str]) -> str:
@@ -602,7 +668,7 @@ def study(
     Parameters
     ----------
     *designs : Controller, type, str or dict
-        Designs, classes or names of laws, or what a ``[[design]]`` table holds, as ``{"law": "lqr", "gains": {...}}``.
+        Designs, classes or names of laws, or what a ``[[design]]`` table holds, as ``{"law": LQR, "gains": {...}}``.
     y_s : float or (k,) float [m]
         Trigger thresholds of those that bring none.
     name : str
@@ -645,19 +711,12 @@ def study(
 def _block(design: object, y_s: float | Sequence[float], classes: dict[str, type[Controller]]) -> dict[str, Any]:
     """A ``[[design]]`` table."""
     if isinstance(design, dict):
-        return {"y_s": y_s, **design}
-    law = type(design) if isinstance(design, Controller) else design
-    if isinstance(law, type) and issubclass(law, Controller):
-        if law.name not in controller_names() or controller_class(law.name) is not law:
-            register(law)
-        if content_of(classes.setdefault(law.name, law)) != content_of(law):
-            raise InputError("design", "names two different laws", value=law.name, allowed="a name for each")
-        law = law.name
-    if not isinstance(law, str):
-        allowed = "a controller, its class, the name of a law, or a design table, each an argument of its own"
+        return named_laws({"y_s": y_s, **design}, classes)
+    table = named_laws({"law": design}, classes)
+    if not isinstance(table["law"], str):
+        allowed = "a controller, its class or name, or {'law': ..., 'gains': {...}}, each an argument of its own"
         raise InputError("design", value=design, allowed=allowed)
-    gains = {gain.name: getattr(design, gain.name) for gain in design.gains()} if isinstance(design, Controller) else {}
-    return {"law": law, "gains": gains} | ({} if law == "none" else {"y_s": y_s})
+    return {"gains": {}, **table} | ({} if table["law"] == "none" else {"y_s": y_s})
 
 
 def catalog_names() -> tuple[str, ...]:

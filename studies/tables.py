@@ -174,6 +174,14 @@ def markdown_text(text: str) -> str:
     return _START.sub(lambda m: f"{m[1]}\\{m[2]}" if m[1] else f"\\{m[3]}", shown)
 
 
+def to_text(table: Table) -> str:
+    """A table in columns of plain text, without its title."""
+    rows = [[column.heading for column in table.columns], *map(table.texts, table.rows)]
+    cells = zip(table.columns, *rows, strict=True)
+    line = "  ".join(f"{{:{'<' if column.text else '>'}{max(map(len, texts))}}}" for column, *texts in cells)
+    return "\n".join(line.format(*row).rstrip() for row in rows)
+
+
 def to_markdown(table: Table) -> str:
     """A table of GitHub-flavoured Markdown, without its title."""
     head = [markdown_text(column.heading) for column in table.columns]

@@ -1,15 +1,26 @@
 """Fixtures for all tests."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from helpers.bits import load_profile
+from ldctoolkit import registry
 
 load_profile()
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Real recordings that are not part of the project; they lie beside the checkout where there are any."""
+
+
+@pytest.fixture(autouse=True)
+def _laws_of_one_test() -> Iterator[None]:
+    """A law that a test registers is forgotten after it, so that the order of tests does not matter."""
+    before = dict(registry._registered)
+    yield
+    registry._registered.clear()
+    registry._registered.update(before)
 
 
 @pytest.fixture(scope="session")

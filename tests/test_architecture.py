@@ -49,7 +49,7 @@ LEVELS = (
     ("ldctoolkit.simulation",),
     # a model is judged by what designs do on its departures
     ("ldctoolkit.scenario_model", "ldctoolkit.models"),
-    ("ldctoolkit.diagnostics", "ldctoolkit.review"),
+    ("ldctoolkit.diagnostics", "ldctoolkit.identification", "ldctoolkit.other_simulators", "ldctoolkit.review"),
     ("ldctoolkit.testing",),
     ("ldctoolkit",),
     ("ldctoolkit.__main__",),
@@ -315,8 +315,8 @@ def test_the_zoo_uses_public_names_only() -> None:
             if not module.startswith("controllers.") or not isinstance(node, ast.ImportFrom) or node.level:
                 continue
             home = node.module or ""
-            helpers = "arrays casadi_code code_content compiling discretization errors law_checks numba_internals"
-            shared = {*helpers.split(), "surroundings"}
+            helpers = "arrays casadi_code checked_files code_content compiling discretization errors law_checks"
+            shared = {*helpers.split(), "numba_internals", "surroundings"}
             if home.startswith("ldctoolkit.") and home.rpartition(".")[2] not in shared:
                 assert {alias.name for alias in node.names} <= {*ldctoolkit.__all__}, f"{module} imports of {home}"
 

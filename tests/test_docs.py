@@ -46,13 +46,14 @@ LONG = ("docs/gallery/", "docs/how-to/reading", "docs/explanation/risk", "docs/e
 PRINTED = {
     "docs/explanation/closed-loop.md": 7,
     "docs/explanation/plant-options.md": 1,
+    "docs/how-to/my-fmu.md": 2,
     "docs/reference/metrics.md": 4,
     "docs/how-to/reviewing-a-design.md": 2,
 }
 
 
 def test_the_site_stays_small() -> None:
-    assert len(PAGES) <= 47
+    assert len(PAGES) <= 48
 
 
 @pytest.mark.parametrize(
@@ -81,7 +82,9 @@ def test_a_page_runs_as_a_user_pastes_it(page: str, tmp_path: Path, monkeypatch:
 def test_commands_and_study_files_of_a_page_are_read(page: str) -> None:
     for text in blocks(page, "toml"):
         table = tomllib.loads(text)
-        if "project" not in table and "offset" not in text:  # a package, and a study with the guide's own law
+        if "wheelbase" in table:
+            ldctoolkit.VehicleParameters.from_data_sheet(**table)
+        elif "project" not in table and "offset" not in text:  # a package, and a study with the guide's own law
             Study.from_dict({"name": "page", "design": [{"law": "none"}]} | table)
     for line in commands(page):
         words = shlex.split(line.partition(" > ")[0], comments=True)

@@ -176,6 +176,20 @@ def test_numbers_of_numpy_are_numbers() -> None:
         ldc.VehicleParameters(m=np.bool_(True))
 
 
+def test_a_design_table_takes_classes() -> None:
+    @dataclasses.dataclass(frozen=True)
+    class Own(ldc.LQR):
+        name, title = "own_lqr", "Own"
+
+    gains = {"r_delta": [30.0, 300.0]}
+    study = ldc.study({"law": Own, "gains": gains}, {"law": [ldc.LQR, "pid"]}, y_s=0.1)
+    ldc.registry.forget("own_lqr")
+    assert [design.law for design in study.designs] == ["own_lqr", "own_lqr", "lqr", "pid"]
+    assert {design.y_s for design in study.designs} == {0.1}
+    assert study.designs[0].kind is Own
+    assert study.designs[2:] == ldc.study(ldc.LQR, ldc.PID, y_s=0.1).designs
+
+
 def test_seeds_have_defaults_and_the_folder_is_optional(tmp_path: Path) -> None:
     model = ldc.load_model("reference")
     assert model.sample(3, 2).T.tolist() == model.sample(3, 2, seed=0).T.tolist()
@@ -212,14 +226,19 @@ STUDY = ldc.study(ldc.NoControl, left=2, right=2)
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: ldc.study(3), r"design: 3; allowed: a controller, its class, the name of a law, or a design table"),  # type: ignore[arg-type]
+        (lambda: ldc.study(3), r"design: 3; allowed: a controller, its class or name, or \{\"law\""),  # type: ignore[arg-type]
         (lambda: ldc.study(int), r"design: <class 'int'>; allowed: a controller, its class"),  # type: ignore[arg-type]
         (lambda: ldc.study({"law": "lqr", "gain": {}}), r"study: design\[0\]\.gain: no such key; did you mean 'gains'"),
         (lambda: ldc.study(ldc.LQR, y_s="0.1"), r"^study: design\[0\]\.y_s: '0.1'; allowed: a finite number"),
         (lambda: ldc.study(ldc.LQR, y_s=True), r"^study: design\[0\]\.y_s: True; allowed: a finite number"),
         (lambda: ldc.study(ldc.LQR, require=3), r"ranking\.require: 3; allowed: "),
         (lambda: ldc.study([ldc.LQR, ldc.PID]), r"^design: \[.*; allowed: .*, each an argument of its own$"),
-        (lambda: ldc.study("LQR"), r"is no controller; did you mean 'lqr'\?"),
+        (
+            lambda: ldc.study("LQR"),
+            r"is no controller; did you mean 'lqr'\?.*; a class of your own needs an entry point",
+        ),
+        (lambda: ldc.study({"gains": {"r_delta": 1.0}}), r"^study: design\[0\]\.law: missing, and has no default$"),
+        (lambda: ldc.study({"law": [ldc.LQR, int]}), r"^study: design\[0\]\.law: .*; allowed: text, or a list"),
         (
             lambda: ldc.study(ldc.LQR, scenarios=arrays()),
             r"^scenarios: an object of type Scenarios; allowed: a table of keys; .*run_study\(study, scenarios=",

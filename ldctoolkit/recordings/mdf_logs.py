@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import difflib
 import functools
 import importlib.util
 import math
@@ -24,7 +23,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.checked_files import read_toml
-from ldctoolkit.errors import InputError, LdcError, RecordingError, short
+from ldctoolkit.errors import InputError, LdcError, RecordingError, closest, short
 from ldctoolkit.recordings.preparation import LIMITS, LONGEST_GAP, MAX_GAP, clock_stretches, cut_at, joins_of, values_at
 from ldctoolkit.recordings.recording import (
     LARGEST,
@@ -60,7 +59,9 @@ def si_factor(unit: str, dimension: str) -> float | None:
 
 _LEFT, _RIGHT = r"(left|lft|_l_|_l$|^l_)", r"(right|rgt|_r_|_r$|^r_)"
 _LINE, _TURN, _NO_SIDE = r"(lane|line|mark|dist)", r"(turn|blink|indicat)", rf"^(?!.*{_LEFT}|.*{_RIGHT}).*"
+_COMMAND: Final = r"(cmd|command|req|target|desir|setp|demand)"
 QUANTITIES: Final = {
+    "steering_command": ("angle", rf"^(?!.*(rate|sp(ee)?d|vel|tor|val|qual)).*(steer.*{_COMMAND}|{_COMMAND}.*steer)"),
     "lane_offset": ("length", rf"{_NO_SIDE}((lane|lat|cent).*(off|dev|pos|dist)|(off|dev).*(lane|cent))"),
     "left_line": ("length", rf"^(?!.*width).*({_LINE}.*{_LEFT}|{_LEFT}.*{_LINE})"),
     "right_line": ("length", rf"^(?!.*width).*({_LINE}.*{_RIGHT}|{_RIGHT}.*{_LINE})"),
@@ -69,7 +70,10 @@ QUANTITIES: Final = {
     "curvature": ("curvature", r"curv"),
     "yaw_rate": ("yaw rate", r"yaw.*(rate|vel|spd)|gyro.*z"),
     "heading": ("angle", r"^(?!.*(lane|line|rate|acc|valid|qual)).*(heading|course)"),
-    "steering": ("angle", r"^(?!.*(rate|sp(ee)?d|vel|tor|val|qual)).*(steer.*(ang|whl|wheel)|st_?whl.*ang|swa)"),
+    "steering": (
+        "angle",
+        rf"^(?!.*(rate|sp(ee)?d|vel|tor|val|qual|{_COMMAND})).*(steer.*(ang|whl|wheel)|st_?whl.*ang|swa)",
+    ),
     "lane": ("", r"lane.*(id$|id_|index|num)"),
     "turn_signal": ("", rf"{_NO_SIDE}{_TURN}"),
     "left_signal": ("", rf"{_TURN}.*{_LEFT}|{_LEFT}.*{_TURN}"),
@@ -98,6 +102,9 @@ class ValidChannel(Channel):
     min: float | None = None  # the least value that is valid; None for any above 0
 
 
+_LANE: Final = ("lane_offset", "left_line", "right_line", "lane_width", "lane")
+
+
 class ChannelMap(Part):
     """Which channel of a log holds what."""
 
@@ -112,6 +119,7 @@ class ChannelMap(Part):
     yaw_rate: Channel | None = None
     heading: Channel | None = None
     steering: Channel | None = None
+    steering_command: Channel | None = None
     valid: tuple[ValidChannel, ...] = ()  # all must hold
     lane: Channel | None = None
     turn_signal: Channel | None = None
@@ -120,7 +128,7 @@ class ChannelMap(Part):
     engaged: Channel | None = None  # above 0 while a system steers
 
     def named(self) -> list[tuple[str, Channel]]:
-        """Quantities and their channels, that of the lane's position first."""
+        """Quantities and their channels; that whose clock counts first: of the command, else of the lane's position."""
         single = [(name, channel) for name in QUANTITIES if isinstance(channel := getattr(self, name), Channel)]
         return single + [("valid", channel) for channel in self.valid]
 
@@ -131,22 +139,33 @@ class ChannelMap(Part):
             if channel.unit is not None and si_factor(channel.unit, dimension) is None:
                 allowed = ", ".join(UNITS[dimension]) or "none, it is a state"
                 raise InputError(f"{name}.unit", f"of {channel.channel!r}", value=channel.unit, allowed=allowed)
+        return self
+
+    def of_lane(self) -> ChannelMap:
+        """The map for departures; raises `InputError` where a quantity is missing."""
         lines = self.left_line and self.right_line
         if not (self.lane_offset or lines):
             raise InputError("lane_offset", "missing", hint="needed: this, or left_line and right_line")
         if not (self.lane_width or lines or self.constant_lane_width):
             hint = "needed: this, left_line and right_line, or constant_lane_width"
             raise InputError("lane_width", "missing", hint=hint)
-        return self
+        return self.model_copy(update={"steering_command": None})
+
+    def of_vehicle(self) -> ChannelMap:
+        """The map for signals of the vehicle, on the clock of the steering command; without the lane."""
+        return self.model_copy(update={"valid": ()} | dict.fromkeys((*_LANE, "constant_lane_width")))
 
 
-def read_channel_map(path: Path) -> ChannelMap:
+def read_channel_map(path: Path, *, lane: bool = True) -> ChannelMap:
     """Read a channel map in TOML; raises `InputError` naming the file, the key and what is allowed."""
     content = as_tuples(read_toml(path, InputError))
     try:
-        return ChannelMap.model_validate(content)
+        channels = ChannelMap.model_validate(content)
+        return channels.of_lane() if lane else channels.of_vehicle()
     except ValidationError as error:
         raise first_problem(error, content, ChannelMap, "map").within(path.name, ": ") from None
+    except InputError as error:
+        raise error.within(path.name, ": ") from None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,6 +191,7 @@ class MdfReader:
     """Reads MDF logs with a channel map; see `RecordingReader`."""
 
     channels: Path | None = None  # the map, a TOML file
+    lane: bool = True  # whether departures are looked for; else signals of the vehicle alone are read
     name: str = "mdf"
     title: str = "ASAM MDF logs (.mf4, .mdf, .dat), with a channel map"
     vehicle_width: float = 1.9
@@ -191,7 +211,7 @@ class MdfReader:
         if self.channels is None:
             allowed = "--channels MAP.toml (--list-channels prints one to start from)"
             raise RecordingError(logs[0].name, "needs a channel map", allowed=allowed)
-        channels = read_channel_map(self.channels)
+        channels = read_channel_map(self.channels, lane=self.lane)
         files = [source_file(path, shown) for path, shown in zip(logs, shown_names(logs), strict=True)]
         parts = tuple(
             LogPart(str(path.absolute()), f"{i:05d}-{path.name}", file.bytes, file.name, channels)
@@ -443,20 +463,20 @@ def _columns(signals: list[_Signal], k: int, channels: ChannelMap) -> dict[str, 
         if isinstance(channel, ValidChannel):
             valid &= values > 0.0 if channel.min is None else values >= channel.min
     columns: dict[str, Any] = {name: values_of[name] for name in Recording.COLUMNS if name in values_of}
-    if "lane_offset" not in values_of:
-        columns["lane_offset"] = -0.5 * (values_of["left_line"] + values_of["right_line"])
+    left, right = (values_of.get(name, np.full(base.size, np.nan)) for name in ("left_line", "right_line"))
+    columns.setdefault("lane_offset", -0.5 * (left + right))
     if channels.constant_lane_width is not None:
         columns["lane_width"] = np.full(base.size, channels.constant_lane_width)
     elif "lane_width" not in values_of:
-        columns["lane_width"] = values_of["left_line"] - values_of["right_line"]
+        columns["lane_width"] = left - right
     if "lane" in values_of:
         valid &= np.isfinite(values_of["lane"])
         columns["lane"] = np.unique(values_of["lane"], return_inverse=True)[1].astype(np.int64)
     if {"turn_signal", "left_signal", "right_signal"} & values_of.keys():
         off = np.zeros(base.size)
-        turn, left, right = (values_of.get(name, off) for name in ("turn_signal", "left_signal", "right_signal"))
+        turn, to_left, to_right = (values_of.get(name, off) for name in ("turn_signal", "left_signal", "right_signal"))
         # what is missing is none, and so are both at once
-        columns["turn_signal"] = ((turn > 0.0) | (left > 0.0)).astype(np.int64) - ((turn < 0.0) | (right > 0.0))
+        columns["turn_signal"] = ((turn > 0.0) | (to_left > 0.0)).astype(np.int64) - ((turn < 0.0) | (to_right > 0.0))
     if "engaged" in values_of:
         columns["engaged"] = values_of["engaged"] > 0.0
     joins = np.concatenate([joins_of(t, starts[k]) for _, _, t, _, starts in signals])
@@ -487,9 +507,8 @@ def _locate(log: Any, entry: Channel) -> tuple[int, int]:
         stated = "not given" if entry.group is None else repr(entry.group)
         what = f"channel {entry.channel!r} is in the groups {groups}; `group`: {stated}"
         raise RecordingError("", what, allowed="the name or number of one")
-    names = {channel.name for group in log.groups for channel in group.channels}
-    near = difflib.get_close_matches(entry.channel, names, n=1)
-    hint = f"{f'did you mean {near[0]!r}? ' if near else ''}see --list-channels"
+    near = closest(entry.channel, [channel.name for group in log.groups for channel in group.channels], 0.6)
+    hint = f"{f'did you mean {near!r}? ' if near else ''}see --list-channels"
     raise RecordingError("", f"channel {entry.channel!r} is not in the log", hint=hint)
 
 

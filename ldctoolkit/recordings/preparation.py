@@ -169,7 +169,7 @@ _SLACK: Final = 1e-6  # of a step: a sample on the edge of a window is in it, ho
 _MOST_STEPS: Final = 2**52  # multiples of the step up to here are distinguished by floating point numbers
 
 _NUMBERS: Final = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
-_NAMES: Final = ("lane", "turn_signal", "heading", "steering", "engaged", "yaw_rate_measured")
+_NAMES: Final = ("lane", "turn_signal", "heading", "steering", "steering_command", "engaged", "yaw_rate_measured")
 """Columns of which no mean or median is taken: the nearest usable sample's value counts, of two the earlier one's."""
 
 
@@ -372,6 +372,7 @@ LIMITS: Final = {
     "yaw_rate": SignalLimits(code_gap=0.3, code_size=1.5, jump=0.75, largest=1.5, spike=0.5),
     "heading": SignalLimits(code_gap=5.0, code_size=40.0, jump=1.0),
     "steering": SignalLimits(code_gap=5.0, code_size=40.0, jump=1.0),
+    "steering_command": SignalLimits(code_gap=5.0, code_size=40.0, jump=1.0),
 }
 
 _CODE_TIMES: Final = 3

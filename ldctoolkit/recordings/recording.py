@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import functools
 import hashlib
 import itertools
@@ -20,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly
-from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError
+from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError, closest
 from ldctoolkit.version import entry_points
 
 
@@ -145,6 +144,8 @@ class Recording(ReadOnly):
     heading: FloatArray | None = None
     # (m,) [rad] Steering angle of the road wheels or the steering wheel, positive to the left
     steering: FloatArray | None = None
+    # (m,) [rad] Steering angle that the actuator is told to take, as `steering` is
+    steering_command: FloatArray | None = None
     engaged: BoolArray | None = None  # (m,) True while a system steers, not the driver
     # (m,) True where the source lost samples before this one: nothing is joined or interpolated across
     cut: BoolArray | None = None
@@ -159,7 +160,7 @@ class Recording(ReadOnly):
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
         "t", "lane_offset", "lane_width", "speed", "valid", "curvature", "yaw_rate", "lane", "turn_signal", "heading",
-        "steering", "engaged", "cut", "yaw_rate_measured",
+        "steering", "steering_command", "engaged", "cut", "yaw_rate_measured",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -473,13 +474,12 @@ def check_columns(
 
 def missing_column(name: str, unknown: Sequence[str], hint: str = "") -> RecordingError:
     """The error for a table that lacks a column; it proposes the nearest of the columns that are not known."""
-    lower = {column.lower(): column for column in reversed(unknown)}
-    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
+    near = closest(name, unknown)
     proposal = textwrap.shorten(f"columns not known here: {', '.join(sorted(unknown))}", 400)
     if not unknown:
         proposal = "no other column of the file could be it"
     elif near:
-        proposal = f"did you mean {lower[near[0]]!r}? ({proposal})"
+        proposal = f"did you mean {near!r}? ({proposal})"
     return RecordingError("", f"column '{name}' is missing", hint="; ".join(filter(None, (proposal, hint))))
 
 
@@ -550,6 +550,7 @@ def open_recordings(
     *,
     format: str = AUTO,
     channels: str | os.PathLike[str] | None = None,
+    lane: bool = True,
 ) -> OpenedRecordings:
     """Look through files and folders of recordings of one kind, to be given to `extract_departures`.
 
@@ -564,6 +565,8 @@ def open_recordings(
         Name of a reader; "auto" looks at columns and folders.
     channels : path, optional
         Channel map of MDF logs, a TOML file.
+    lane : bool
+        False where the lane is not needed: of MDF logs, signals of the vehicle at the times of the steering command.
 
     Examples
     --------
@@ -586,7 +589,8 @@ def open_recordings(
         if not hasattr(reader, "channels"):
             problem, allowed = f"for format {reader.name!r}", "a channel map for MDF logs only"
             raise InputError("channels", problem, value=os.fspath(channels), allowed=allowed)
-        reader = dataclasses.replace(reader, channels=Path(channels))  # type: ignore[type-var]
+        of_vehicle = {"lane": False} if not lane and hasattr(reader, "lane") else {}
+        reader = dataclasses.replace(reader, channels=Path(channels), **of_vehicle)  # type: ignore[type-var]
     try:
         source = reader.open(sources)
         keys = Counter(part.key for part in source.parts)
@@ -635,11 +639,12 @@ def read_recordings(
     *,
     format: str = AUTO,
     channels: str | os.PathLike[str] | None = None,
+    lane: bool = True,
 ) -> Iterator[Recording]:
     r"""Read driving recordings, whole ones in the order of the files, and stop at the first fault.
 
-    `paths`, `format` and `channels` are those of `open_recordings`, which goes on with what is sound, and names what is
-    not. The content is read, and checked, while iterating. Raises `RecordingError` as `open_recordings`; while
+    `paths`, `format`, `channels` and `lane` are those of `open_recordings`, which goes on with what is sound, and names
+    what is not. The content is read, and checked, while iterating. Raises `RecordingError` as `open_recordings`; while
     iterating, for content that cannot be used, naming file and place.
 
     Examples
@@ -652,7 +657,7 @@ def read_recordings(
     [('a', 2)]
     >>> folder.cleanup()
     """
-    return _sound(open_recordings(paths, format=format, channels=channels))
+    return _sound(open_recordings(paths, format=format, channels=channels, lane=lane))
 
 
 def _sound(opened: OpenedRecordings) -> Iterator[Recording]:

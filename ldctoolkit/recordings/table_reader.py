@@ -46,7 +46,7 @@ NO_ROWS: Final = "a header but no rows; at least one sample is needed"
 
 UNITS: Final = {
     "t": "s", "lane_offset": "m", "lane_width": "m", "speed": "m/s", "curvature": "1/m", "yaw_rate": "rad/s",
-    "heading": "rad", "steering": "rad",
+    "heading": "rad", "steering": "rad", "steering_command": "rad",
 }  # fmt: skip
 """Columns of numbers, and what they are in."""
 

@@ -61,7 +61,7 @@ _SHOWN: Final = {
     EventStatus.CRASHED: "crashed",
     EventStatus.BEYOND_DELTA_MAX: "taken over beyond delta_max, driven to the end",
 }
-_FAILURES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
+FAILURES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -103,8 +103,6 @@ class Trajectories(ReadOnly):
         >>> bool(paths.x[0, 0, 0] > 0.0), bool(y[0, 0] < 0.0)
         (True, True)
         """
-        from scipy.integrate import cumulative_simpson
-
         finite = np.isfinite(self.t)
         step = float(np.diff(self.t).max(initial=_FINE, where=finite[:, 1:]))
         parts = math.ceil(step / _FINE)
@@ -114,10 +112,18 @@ class Trajectories(ReadOnly):
         fine = np.column_stack([inside.reshape(t.shape[0], -1), t[:, -1]])
         v = np.where(np.isnan(self.v)[:, None], self.path.speed(fine), self.v[:, None])
         side = self.path.scenarios.side[:, None]
-        turn = cumulative_simpson(side * v * self.path.curvature(fine), x=fine, initial=0.0)
-        x, y = (cumulative_simpson(v * wave(turn), x=fine, initial=0.0)[:, ::parts] for wave in (np.cos, np.sin))
-        lane, e_y, e_psi = turn[:, ::parts], side * self.x[:, :, 0], side * self.x[:, :, 2]
+        _, x, y, lane = lane_centre(fine, v, side * self.path.curvature(fine))[:, :, ::parts]
+        e_y, e_psi = side * self.x[:, :, 0], side * self.x[:, :, 2]
         return x - e_y * np.sin(lane), y + e_y * np.cos(lane), lane + e_psi
+
+
+def lane_centre(t: FloatArray, v: FloatArray, curvature: FloatArray) -> FloatArray:
+    """Way, x, y and heading of what passes a lane's centre line from the origin on, at times t (n, k), (4, n, k)."""
+    from scipy.integrate import cumulative_simpson
+
+    turn = cumulative_simpson(v * curvature, x=t, initial=0.0)
+    rates = np.stack([v, v * np.cos(turn), v * np.sin(turn)])
+    return np.concatenate([cumulative_simpson(rates, x=np.stack([t] * 3), initial=0.0), turn[None]])
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -166,7 +172,7 @@ class Outcome(Frame):
             lines.append(("deepest beyond the line", f"{self.deepest[row]:.3f} m (no. {row})".replace("-", "\u2212")))
         counts = {status: np.count_nonzero(self.status == status) for status in EventStatus}
         lines += [(_SHOWN[status], f"{count:,}") for status, count in counts.items() if count]
-        lines.append(("failures", f"{sum(counts[status] for status in _FAILURES):,}"))
+        lines.append(("failures", f"{sum(counts[status] for status in FAILURES):,}"))
         if self.failed_solves.any():
             lines.append(("commands from a fallback", f"{int(self.failed_solves.sum()):,}"))
         n = self.S.size
@@ -234,10 +240,16 @@ class Run:
     failed_solves: IntArray
     metrics: MetricValues
     step_seconds: FloatArray  # (k,) [s] Wall time of each call of the law's step; empty for a linear law
-    trajectories: Trajectories | None
+    # On request: paths (c, entries, PATH) as the compiled loops write them, of which rows, and which of these triggered
+    paths: tuple[FloatArray, IntArray, IntArray] | None = None
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
     # On request, for each sample: row numbers of the scenarios that go on, and their plans as of `SteeringLaw.plan`
     planned: Sequence[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = ()
+
+    @property
+    def trajectories(self) -> Trajectories | None:
+        """The paths in the scenarios' own order."""
+        return None if self.paths is None else _trajectories(self.takeover, *self.paths)
 
     @property
     def law_seconds(self) -> float:
@@ -403,7 +415,7 @@ def drive(
     plans : bool
         Keep the plans of a law that defines `plan`.
     """
-    rows = _path_rows(trajectories, takeover.scenarios.n)
+    rows = path_rows(trajectories, takeover.scenarios.n)
     law = _checked_law(controller, takeover)
     if isinstance(law, SteeringLaw):
         return _drive_general(law, takeover, controller.name, rows, threads, plans=plans)
@@ -412,7 +424,9 @@ def drive(
     return _drive_linear([law], takeover, rows, threads)[0]
 
 
-def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads: int | None = None) -> Iterator[Run]:
+def drive_many(
+    controllers: Iterable[Controller], takeover: Takeover, *, paths: bool = False, threads: int | None = None
+) -> Iterator[Run]:
     """Drive several designs; linear laws go through the compiled loop together, so that scenarios are read once.
 
     Parameters
@@ -420,13 +434,16 @@ def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads
     controllers : iterable of Controller
     takeover, threads
         As in `drive`.
+    paths : bool
+        Keep the paths of all scenarios that triggered, in the takeover's order; one design at a time is driven then.
 
     Yields
     ------
     Run
         In the order of the designs; the same bits, and the same errors, as from `drive`.
     """
-    most = max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES))
+    rows = takeover.rows if paths else None
+    most = 1 if paths else max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES))
     waiting: list[LinearLaw] = []
     for controller in controllers:
         law = _checked_law(controller, takeover)
@@ -436,16 +453,16 @@ def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads
             and shape_of(law) == shape_of(waiting[0])
             and law.knows_actuator == waiting[0].knows_actuator
         ):
-            yield from _drive_linear(waiting, takeover, None, threads)
+            yield from _drive_linear(waiting, takeover, rows, threads)
             waiting = []
         if isinstance(law, LinearLaw):
             waiting.append(law)
         elif isinstance(law, SteeringLaw):
-            yield _drive_general(law, takeover, controller.name, None, threads)
+            yield _drive_general(law, takeover, controller.name, rows, threads)
         else:
             yield recorded_run(takeover)
     if waiting:
-        yield from _drive_linear(waiting, takeover, None, threads)
+        yield from _drive_linear(waiting, takeover, rows, threads)
 
 
 def _checked_law(controller: Controller, takeover: Takeover) -> Law:
@@ -485,7 +502,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
     elif m:
         exact, stiff = takeover.exact, np.arange(takeover.stiff)
         exact_path_row = path_row.copy()
-        exact_path_row[stiff] = -1
+        exact_path_row[stiff], path_row[stiff.size :] = -1, -1  # a block may hold rows of both kinds
 
         def work(first: int, last: int) -> None:
             most = int(scene[first * data.LANES : last * data.LANES, data.STEPS].max())
@@ -499,8 +516,8 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
             drive_any(stiff, stiff_score, stiff_diverged, stiff_failed)
             score[:, :, stiff], diverged[:, stiff] = stiff_score[:, :, stiff], stiff_diverged[:, stiff]
             failed[:, stiff] = stiff_failed[:, stiff]
-    trajectories = _trajectories(takeover, paths, rows, triggered)
-    return [_run_of_scores(takeover, score[i], diverged[i], failed[i], np.zeros(0), trajectories) for i in range(d)]
+    kept = None if rows is None else (paths, rows, triggered)
+    return [_run_of_scores(takeover, score[i], diverged[i], failed[i], np.zeros(0), kept) for i in range(d)]
 
 
 # ---------------------------------------------------------------------- a law that is called sample by sample
@@ -518,6 +535,7 @@ def _drive_general(
     beyond, alive = np.zeros(m, dtype=np.bool_), np.ones(m, dtype=np.bool_)
     batch: IntArray | slice = slice(None)  # The scenarios that the law still holds
     active = np.arange(m)  # Rows of the batch that go on
+    filtered = takeover.setup.options.sensors.kalman is not None
     state = law.init(m)
     linear = isinstance(law, LinearSteps) and law.measured  # whose time is not a law's own
     step_seconds: list[float] = []
@@ -530,7 +548,8 @@ def _drive_general(
             plant.look(sample, times, *shown)
         x, yaw_rate, heading, wheel = (values[batch] for values in shown)
         t, previous = takeover.start[batch] + sample * takeover.setup.dt, np.where(alive, last, 0.0)[batch]
-        preview = Preview(yaw_rate, heading, wheel)
+        frame = np.concatenate([plant.new_frame(sample) for plant in plants])[batch] if filtered else None
+        preview = Preview(yaw_rate, heading, wheel, frame)
         started = time.perf_counter()
         result = law.step(t, x, preview, previous.copy(), state)
         step_seconds += [] if linear else [time.perf_counter() - started]
@@ -560,8 +579,8 @@ def _drive_general(
                 batch, active = np.arange(m)[batch][active], np.arange(active.size)
     results = [plant.scores() for plant in plants]
     score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
-    trajectories = _trajectories(takeover, paths, rows, triggered)
-    run = _run_of_scores(takeover, score, diverged, failed, np.array(step_seconds), trajectories)
+    kept = None if rows is None else (paths, rows, triggered)
+    run = _run_of_scores(takeover, score, diverged, failed, np.array(step_seconds), kept)
     status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls), planned=planned)
 
@@ -569,7 +588,7 @@ def _drive_general(
 # ------------------------------------------------------------------------------------------------ paths, threads, runs
 
 
-def _path_rows(trajectories: PathChoice, n: int) -> IntArray | None:
+def path_rows(trajectories: PathChoice, n: int, name: str = "trajectories") -> IntArray | None:
     """Row numbers of the scenarios whose paths are kept; None for no paths at all."""
     if isinstance(trajectories, bool | np.bool_):
         return np.arange(n) if trajectories else None
@@ -577,12 +596,12 @@ def _path_rows(trajectories: PathChoice, n: int) -> IntArray | None:
     if rows.size == 0:
         rows = rows.astype(np.int64)
     if rows.ndim != 1 or rows.dtype.kind not in "iu":
-        raise InputError("trajectories", value=trajectories, allowed="true, false, or row numbers of scenarios")
+        raise InputError(name, value=trajectories, allowed="true, false, or row numbers of scenarios")
     outside = (rows < 0) | (rows >= n)
     if outside.any():
-        raise InputError("trajectories", "is no scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
+        raise InputError(name, "is no scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
     if np.unique(rows).size != rows.size:
-        raise InputError("trajectories", "a row number is given twice", allowed="each once")
+        raise InputError(name, "a row number is given twice", allowed="each once")
     return rows.astype(np.int64)
 
 
@@ -600,7 +619,7 @@ def _run_of_scores(
     diverged: BoolArray,
     failed: IntArray,
     step_seconds: FloatArray,
-    trajectories: Trajectories | None,
+    paths: tuple[FloatArray, IntArray, IntArray] | None,
 ) -> Run:
     """A run from scores (SCORES, m), which scenarios diverged (m,), and failed commands (m,)."""
     status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
@@ -615,13 +634,11 @@ def _run_of_scores(
     inside = (takeover.x_0[:, 0] < edge) & (values["deepest"] <= 0.0)
     values["t_back"] = np.where(inside, takeover.start, values["t_back"])
     metrics = MetricValues(**values)
-    return Run(takeover, area, status, failed, metrics, step_seconds, trajectories)
+    return Run(takeover, area, status, failed, metrics, step_seconds, paths)
 
 
-def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray | None, triggered: IntArray) -> Trajectories | None:
+def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray, triggered: IntArray) -> Trajectories:
     """Paths of the chosen rows; NaN where a scenario never triggered."""
-    if rows is None:
-        return None
     used = np.isfinite(paths[:, :, data.P_TIME]).sum(axis=1).max(initial=1)
     out = np.full((rows.size, int(used), data.PATH), np.nan)
     out[triggered] = paths[:, : int(used)]

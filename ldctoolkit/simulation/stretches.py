@@ -49,6 +49,25 @@ class Stretch:
         """What the law sees: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle (m,)."""
         self.entry.look(self.setting, self.state, k, self.blocks, times, *(values[self.rows] for values in shown))
 
+    def new_frame(self, k: int) -> FloatArray:
+        """e_y and e_psi of the frame that the filter took in when it looked at sample k, (rows, 2); NaN without one."""
+        from ldctoolkit.simulation.kernel.sight import frame_of
+
+        latest = [frame_of.py_func(self.setting, sample) for sample in (k, k - 1)]
+        if not self.setting[data.FILTERED] or (k and latest[0] == latest[1]):
+            return np.full((self.rows.stop - self.rows.start, 2), np.nan)
+
+        def lanes(row: int) -> FloatArray:
+            return self.state[:, row : row + data.LANES].ravel()[: self.rows.stop - self.rows.start]
+
+        # x = x_predicted + K innovation, and the innovation is frame - x_predicted
+        innovation, gain = [lanes(data.WORK_0), lanes(data.WORK_1)], data.FILTER_ROWS + data.GAIN * data.LANES
+        frame = []
+        for i, seen in enumerate((data.SEEN_E_Y, data.SEEN_E_PSI)):
+            K = [lanes(gain + (4 * i + j) * data.LANES) for j in range(2)]
+            frame.append(lanes(seen) - K[0] * innovation[0] - K[1] * innovation[1] + innovation[i])
+        return np.stack(frame, axis=1)
+
     def go_on(self, k: int, command: FloatArray, alive: BoolArray) -> None:
         """Drive to the next sample with the commands (m,); whether each scenario goes on into `alive` (m,)."""
         commands = command[self.rows]

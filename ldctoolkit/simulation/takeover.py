@@ -248,9 +248,9 @@ class Takeover:
         columns = {name: measured.get(name, np.zeros(T.size)) for name in METRIC_UNITS}
         return MetricValues(**{name: np.where(self.valid, column, np.nan) for name, column in columns.items()})
 
-    def recorded_state(self, t: FloatArray) -> FloatArray:
-        """State of the recorded paths in their steady turns at times t (n, k), (n, k, 4)."""
-        return _state(self.path, self.every_vehicle.columns(slice(None)), _steady(self.setup), t)[0]
+    def recorded_motion(self, t: FloatArray, rows: IntArray | slice = slice(None)) -> tuple[FloatArray, FloatArray]:
+        """State (n, k, 4) and steering angle (n, k) of recorded paths in their steady turns at times t (n, k)."""
+        return _state(self.path.take(rows), self.every_vehicle.columns(rows), _steady(self.setup), t)
 
     @functools.cached_property
     def turn(self) -> RecordedTurn:
@@ -364,6 +364,8 @@ def _turn(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray)
 
 def _steady(setup: Setup) -> Setup:
     """For the recorded path itself, whatever state the loop starts from, and on the single track."""
+    if (setup.start, setup.initial_yaw_rate, setup.vehicle_model) == ("steady", "path", None):
+        return setup
     return dataclasses.replace(setup, start="steady", initial_yaw_rate="path", vehicle_model=None)
 
 

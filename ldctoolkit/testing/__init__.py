@@ -1,4 +1,4 @@
-"""The contracts that controllers and vehicle models keep, as checks that their authors run in tests of their own.
+"""The contracts of controllers, metrics and vehicle models, as checks that their authors run in tests of their own.
 
 Under pytest, subclass `ControllerContract`; without it, call `check_controller_contract`. Nothing here needs pytest.
 """
@@ -11,6 +11,7 @@ from ldctoolkit.testing.contract import (
     check_controller_contract,
     contract_faults,
 )
+from ldctoolkit.testing.metric_contract import check_metric
 from ldctoolkit.testing.subject import ContractSettings
 from ldctoolkit.testing.vehicle import check_vehicle_model
 
@@ -21,6 +22,7 @@ __all__ = [
     "ControllerContract",
     "Fault",
     "check_controller_contract",
+    "check_metric",
     "check_vehicle_model",
     "contract_faults",
 ]

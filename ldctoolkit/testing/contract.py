@@ -240,7 +240,9 @@ def repeatable(subject: Subject) -> Iterator[str]:
 
 @_check("mirrored_input_gives_the_mirrored_command", steering=True)
 def mirror(subject: Subject) -> Iterator[str]:
-    """Mirrored input gives the mirrored command."""
+    """Mirrored input gives the mirrored command, unless the class says `symmetric = False`."""
+    if not subject.design.symmetric:
+        return
     road, tolerance = subject.bends(), subject.settings.mirror_tolerance
     delta, mirrored = subject.commands(road).delta, subject.commands(road.mirrored()).delta
     allowed = tolerance * np.maximum(np.abs(delta), np.abs(mirrored)).max(axis=0, initial=0.0)
@@ -249,7 +251,8 @@ def mirror(subject: Subject) -> Iterator[str]:
         k, i = first_of(wrong)
         yield (
             f"the command is {shown(delta[k, i])} rad and {shown(mirrored[k, i])} rad on the mirrored road, at "
-            f"sample {k} of scenario {i}; allowed: the negative to {allowed[i]:.3g} rad"
+            f"sample {k} of scenario {i}; allowed: the negative to {allowed[i]:.3g} rad; a law that treats the line "
+            "that is crossed in another way than the opposite one says so: symmetric = False in its class"
         )
 
 

@@ -8,13 +8,22 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Final, Literal, Protocol, get_args
+import warnings
+from typing import ClassVar, Final, Literal, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, unmasked
-from ldctoolkit.declared import check_declared, declared, short_repr, warn_of_units
+from ldctoolkit.declared import (
+    UnitWarning,
+    check_declared,
+    checked_number,
+    declared,
+    short_repr,
+    unit_slip,
+    warn_of_units,
+)
 from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
 
@@ -77,6 +86,17 @@ class Plant:
 
 GRAVITY: Final = 9.81  # gravitational acceleration [m/s^2]
 
+REAR_CORNERING_COEFFICIENT: Final = 20.0  # [1/rad] of an axle: lateral force per radian of slip and newton of load
+LOADS_AGREE: Final = 0.01  # share of the mass that two axle loads, weighed and rounded, may miss it by
+_NOTES: Final = {
+    "yaw_inertia": "I_z = m l_f l_r, a dynamic index of 1 (usual: 0.8 to 1.2; 0.94, 1.00 and 1.10 in CommonRoad's "
+    "vehicle models, 1.05 in Rajamani)",
+    "rear_cornering_coefficient": f"rear axle's cornering stiffness = {REAR_CORNERING_COEFFICIENT:g}/rad times its "
+    "load (usual: 12 to 26; 21.9 of the tyres in CommonRoad's vehicle models, 25 in Rajamani; compliance takes some)",
+    "steering_ratio": "steering_ratio = 15 (usual: 13 to 18)",
+    "width": "w_v = 1.9 m (usual without mirrors: 1.7 to 2.0)",
+}
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class VehicleParameters(CheckedArguments):
@@ -101,6 +121,8 @@ class VehicleParameters(CheckedArguments):
     steering_ratio : float
         Angle of the steering wheel over that of the front wheels; an assumption of the usual size, not the paper's. It
         decides no path, only the steering wheel's velocity in tests of regulations.
+    notes : tuple of str
+        What `from_data_sheet` assumed, with source and usual range; empty for other vehicles.
 
     Examples
     --------
@@ -109,6 +131,7 @@ class VehicleParameters(CheckedArguments):
     """
 
     __repr__ = short_repr
+    notes: ClassVar[tuple[str, ...]] = ()
 
     C_af: float = declared(80000.0, unit="N/rad", above=0.0)
     C_ar: float = declared(80000.0, unit="N/rad", above=0.0)
@@ -125,6 +148,97 @@ class VehicleParameters(CheckedArguments):
         if self.w_v >= self.w_l:
             raise InputError("vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width, {self.w_l!r} m")
         warn_of_units("vehicle", self)
+
+    @classmethod
+    def from_data_sheet(
+        cls,
+        *,
+        mass: float,
+        front_load: float | None = None,
+        rear_load: float | None = None,
+        wheelbase: float,
+        understeer_gradient: float,
+        steering_ratio: float | None = None,
+        yaw_inertia: float | None = None,
+        rear_cornering_coefficient: float | None = None,
+        width: float | None = None,
+        lane_width: float | None = None,
+    ) -> VehicleParameters:
+        """The vehicle of a data sheet; what is assumed for values that are not given is in its `notes`.
+
+        Axle loads give the centre of gravity, m_f and m_r the masses on the axles. With the rear axle's stiffness C_r
+        the understeer gradient K = m_f/C_f - m_r/C_r gives that of the front axle (T. D. Gillespie, *Fundamentals of
+        Vehicle Dynamics*, 1992, chapter 6).
+
+        Raises `InputError` for a value that no vehicle has, and for axle loads that do not add up to the mass. A value
+        that is likely to be in another unit gives a `UnitWarning`.
+
+        Parameters
+        ----------
+        mass : float [kg]
+            Of the vehicle as it is driven, driver included.
+        front_load, rear_load : float
+            Load of the axle in kg, or its share of the mass, below 1; one of the two, or both.
+        wheelbase : float [m]
+        understeer_gradient : float [rad/(m/s^2)]
+            Wheel angle, not steering wheel angle, per lateral acceleration; 1 deg/g is 0.00178.
+        steering_ratio : float, optional
+        yaw_inertia : float [kg m^2], optional
+        rear_cornering_coefficient : float [1/rad], optional
+            Cornering stiffness of the rear axle over its load in newtons.
+        width, lane_width : float [m], optional
+
+        Examples
+        --------
+        >>> vehicle = VehicleParameters.from_data_sheet(
+        ...     mass=1650.0, front_load=910.0, wheelbase=2.8, understeer_gradient=0.003, yaw_inertia=2800.0
+        ... )
+        >>> round(vehicle.l_f, 3), round(vehicle.C_ar)
+        (1.256, 72594)
+        >>> len(vehicle.notes)
+        3
+        """
+        needed = ("mass", "wheelbase", "understeer_gradient")
+        given = {key: value for key, value in locals().items() if key in needed or value is not None}
+        del given["cls"], given["needed"]
+        for name, value in given.items():
+            given[name] = checked_number(f"data_sheet.{name}", value, above=-1.0 if "gradient" in name else 0.0)
+            if slip := unit_slip(f"data_sheet.{name}", given[name]):
+                warnings.warn(slip, UnitWarning, stacklevel=2)
+        mass, wheelbase, gradient = (given[name] for name in needed)
+        loads = {name: given[name] for name in ("front_load", "rear_load") if name in given}
+        shares = {name: load if load < 1.0 else load / mass for name, load in loads.items()}
+        if not loads:
+            raise InputError("data_sheet.front_load", "missing, and so is rear_load", allowed="one of the two, or both")
+        for name, share in shares.items():
+            if not 0.2 <= share <= 0.8:
+                what = "kg on the axle, or its share of the mass, from 0.2 to 0.8"
+                raise InputError(f"data_sheet.{name}", f"of {mass:g} kg", value=loads[name], allowed=what)
+        total = sum(shares.values())
+        if len(shares) == 2 and abs(total - 1.0) > LOADS_AGREE + 1e-9:
+            problem = f"and front_load add up to {total * mass:g} kg"
+            allowed = f"the mass, {mass:g} kg, within {LOADS_AGREE:.0%}; not the highest loads that an axle may carry"
+            raise InputError("data_sheet.rear_load", problem, value=loads["rear_load"], allowed=allowed)
+        front = shares["front_load"] / total if len(shares) == 2 else shares.get("front_load", 1.0 - total)
+        l_f, l_r = wheelbase * (1.0 - front), wheelbase * front
+        compliance = 1.0 / (given.get("rear_cornering_coefficient", REAR_CORNERING_COEFFICIENT) * GRAVITY)  # m_r/C_r
+        if gradient + compliance <= 0.0:
+            allowed = f"> {-compliance:.3g} rad/(m/s^2) with this rear axle; or a larger rear_cornering_coefficient"
+            raise InputError("data_sheet.understeer_gradient", value=gradient, allowed=allowed)
+        optional = {"steering_ratio": "steering_ratio", "width": "w_v", "lane_width": "w_l"}
+        with warnings.catch_warnings(action="ignore", category=UnitWarning):  # the sheet's values were looked at
+            vehicle = cls(
+                m=mass,
+                l_f=l_f,
+                l_r=l_r,
+                C_af=0.5 * mass * front / (gradient + compliance),
+                C_ar=0.5 * mass * (1.0 - front) / compliance,
+                I_z=given.get("yaw_inertia", mass * l_f * l_r),
+                **{field: given[name] for name, field in optional.items() if name in given},
+            )
+        notes = tuple(f"assumed: {note}" for name, note in _NOTES.items() if name not in given)
+        object.__setattr__(vehicle, "notes", notes)
+        return vehicle
 
     @property
     def edge_offset(self) -> float:

@@ -15,7 +15,7 @@ from ldctoolkit.errors import LdcError
 from ldctoolkit.surroundings import sweep
 from ldctoolkit.version import __version__
 
-from . import _console, assess, controllers, export, extract, fit, init, rank, report, review, risk, run
+from . import _console, assess, controllers, export, extract, fit, identify, init, rank, report, review, risk, run
 
 
 class _Parser(argparse.ArgumentParser):
@@ -33,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"ldc {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in (extract, fit, review, assess, init, run, rank, risk, report, export, controllers):
+    for command in (extract, fit, identify, review, assess, init, run, rank, risk, report, export, controllers):
         command.add_parser(commands)
     return top
 

@@ -1,4 +1,4 @@
-"""``ldc export``: a design as C code, checked in the closed loop."""
+"""``ldc export``: a design as C code, checked in the loop; ``ldc scenarios``: departures for other simulators."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ._console import Subparsers, console, progress_bar, say
+from ._console import Subparsers, console, positive_number, progress_bar, say, warn
 
 if TYPE_CHECKING:
     from ldctoolkit.scenarios import Scenarios
@@ -37,6 +37,7 @@ def add_parser(commands: Subparsers) -> None:
     add("--anyway", action="store_true", help="export a design that does not meet the requirements of its study")
     add("--verify", action="store_true", help="write nothing: report whether FOLDER is unchanged and up to date")
     parser.set_defaults(run=run)
+    _add_scenarios(commands)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -102,3 +103,56 @@ def _scenarios(judged: Judged) -> Scenarios:
         return scenarios
     left, right = (math.ceil(count * DEPARTURES / scenarios.n) for count in judged.study.scenarios.counts)
     return model.sample(left, right, seed=judged.study.seed, given=judged.study.scenarios.given)
+
+
+def _add_scenarios(commands: Subparsers) -> None:
+    about = "write departures for esmini, CARLA, CarMaker and other simulators"
+    more = "; each is an OpenDRIVE road and an OpenSCENARIO file, or a table of the path"
+    parser = commands.add_parser("scenarios", help=about, description=f"W{about[1:]}{more}.")
+    add = parser.add_argument
+    add("folder", metavar="DIR", help="folder that ldc run wrote")
+    about = "the departures with the largest S of the design (default: %(default)s)"
+    add("--worst", type=positive_number, default=20, metavar="N", help=about)
+    add("--departure", action="append", type=int, metavar="N", help="this scenario number instead; repeatable")
+    add("--design", metavar="LABEL", help="label or id of a design (default: the one that the verdict names)")
+    add("--recorded", action="store_true", help="the recorded paths, without control")
+    add("--format", choices=("openscenario", "csv"), default="openscenario", help="(default: openscenario)")
+    about = "the vehicle's point that positions are of (default: %(default)s)"
+    add("--reference", choices=("centre_of_gravity", "rear_axle"), default="centre_of_gravity", help=about)
+    add("-o", "--output", metavar="FOLDER", help="where the files go (default: DIR/scenarios)")
+    parser.set_defaults(run=_run_scenarios)
+
+
+def _run_scenarios(args: argparse.Namespace) -> None:
+    """Carry the command out."""
+    import numpy as np
+
+    from ldctoolkit.control import EventStatus
+    from ldctoolkit.other_simulators import export_scenarios
+    from ldctoolkit.simulation import Takeover, drive
+
+    from ..pages.replay import rows_of_numbers
+    from ._results import Judged
+
+    judged = Judged.read(args.folder)
+    (design,), results, setup = judged.named(args.design and [args.design]), judged.results, judged.study.setup()
+    status, stored, S = (part[results.designs.index(design)] for part in (results.status, results.S, results.counted))
+    rows, outcome = np.flatnonzero(results.drivable), None
+    if args.departure:
+        rows = rows[list(rows_of_numbers(results.scenarios.take(rows), args.departure))]
+    else:
+        rows = rows[np.argsort(-S[rows], kind="stable")][: args.worst]
+    lost = np.isin(status[rows], (EventStatus.TIMED_OUT, EventStatus.CRASHED)) & (not args.recorded)
+    if lost.any():
+        warn(f"left out, the law timed out or crashed: {', '.join(map(str, results.scenarios.index[rows[lost]]))}")
+    scenarios = results.scenarios.take(rows[~lost])
+    with progress_bar("driving and writing"):
+        if not args.recorded:
+            over = Takeover.build(scenarios, setup, y_s=design.y_s)
+            outcome = drive(design.controller(setup.convention), over, trajectories=True).outcome(results.window)
+            if not np.allclose(outcome.S, stored[rows[~lost]], rtol=1e-3):
+                warn("the paths do not have the stored S: the results are of another version or machine")
+        paths = outcome if outcome and outcome.trajectories else None  # none of a law that never intervenes
+        folder = Path(args.output or f"{args.folder}/scenarios")
+        written = export_scenarios(scenarios, folder, True, paths, setup, args.reference, args.format)
+    say(console(), "recorded paths" if args.recorded else design.label, *(f"  {f}: {written[f]}" for f in written))

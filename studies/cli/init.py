@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import inspect
 import itertools
 import os
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
+from ldctoolkit.checked_files import read_toml
 from ldctoolkit.errors import InputError, UnknownNameError
 
 from ._console import Subparsers, number, output_file, positive_number
+
+if TYPE_CHECKING:
+    from ldctoolkit.vehicle import VehicleParameters
 
 _BASE: Final = "trigger-and-gains"  # study whose plant, requirements and counts a file made from answers has
 
@@ -32,6 +38,8 @@ def add_parser(commands: Subparsers) -> None:
     add("-n", type=positive_number, metavar="N", help="departures in all, half of them to each side")
     add("--require", action="append", metavar="TEXT", help="requirement, as 'a_y_peak_p95 <= 3.0'; repeatable")
     add("--plant", metavar="STUDY", help="study of the catalog whose plant is taken; ideal: the ideal plant")
+    about = "take the vehicle from a data sheet: keys as the arguments of VehicleParameters.from_data_sheet"
+    add("--data-sheet", metavar="FILE.toml", help=about)
     add("--name", metavar="NAME", help="name of the study (default: that of the file)")
     add("-o", "--output", metavar="FILE.toml", help="study file to write (default: NAME.toml)")
     add("--force", action="store_true", help="replace a file that is there")
@@ -45,8 +53,9 @@ def run(args: argparse.Namespace) -> None:
     from ..study_file import CATALOG, Study, catalog_names
     from ..study_template import study_text
 
-    if not (args.study or args.law):
-        raise InputError("init", "give a study of the catalog or --law", allowed=", ".join(catalog_names()))
+    if not (args.study or args.law or args.data_sheet):
+        problem = "give a study of the catalog, --law or --data-sheet"
+        raise InputError("init", problem, allowed=", ".join(catalog_names()))
     name = args.name or (Path(args.output).stem if args.output else args.study or "my-study")
     target = output_file(args.output or f"{name}.toml", ".toml", option="-o" if args.output else "--name")
     if target.exists() and not args.force:
@@ -55,6 +64,12 @@ def run(args: argparse.Namespace) -> None:
     car = content["vehicle"].get("model", "").partition(":")[0]
     if car and not target.with_name(car).exists():  # the catalog's own vehicle, to be edited
         write_text(target.with_name(car), (CATALOG / car).read_text(encoding="utf-8"))
+    notes = "\n"
+    if args.data_sheet:
+        vehicle = read_data_sheet(Path(args.data_sheet))
+        content["vehicle"] |= {key: float(f"{value:.6g}") for key, value in dataclasses.asdict(vehicle).items()}
+        sheet = f"the vehicle of the data sheet {Path(args.data_sheet).name}"
+        notes = "".join(f"\n# {line}" for line in (sheet, *vehicle.notes)) + "\n"
     study = Study.from_dict(content | {"name": name}, source=str(target), folder=target.parent)
     if args.model or args.departures:
         study_source(study)  # refused now, and not when the file is run
@@ -64,7 +79,7 @@ def run(args: argparse.Namespace) -> None:
     if args.study and content == _of_catalog(args.study):  # else what its head says need not hold
         lines = (CATALOG / f"{args.study}.toml").read_text(encoding="utf-8").splitlines()
         about = [*itertools.takewhile(lambda line: line.startswith("#"), lines), *about]
-    write_text(target, study_text(study, about))
+    write_text(target, study_text(study, about).replace("\n[vehicle]", f"{notes}[vehicle]", 1))
     print(f"study file written to {target}\nrun it with: ldc run {target}")
 
 
@@ -92,6 +107,23 @@ def _content(args: argparse.Namespace, target: Path) -> dict[str, Any]:
     sides = {"left": (args.n + 1) // 2, "right": args.n // 2} if args.n else {}
     content["scenarios"] |= alone | named | beside | sides
     return content
+
+
+def read_data_sheet(path: Path) -> VehicleParameters:
+    """The vehicle of a data sheet in TOML; raises `InputError` naming the file and the key."""
+    from ldctoolkit.vehicle import VehicleParameters
+
+    content = read_toml(path, InputError)
+    keys = inspect.signature(VehicleParameters.from_data_sheet).parameters
+    try:
+        for key in content:
+            if key not in keys:
+                raise InputError(key, "no such key", allowed=tuple(keys))
+        # what is missing is refused as None
+        given: Any = {key: content.get(key, None if of.default is of.empty else of.default) for key, of in keys.items()}
+        return VehicleParameters.from_data_sheet(**given)
+    except InputError as error:
+        raise error.within(path.name, ": ") from None
 
 
 def _of_catalog(name: str) -> dict[str, Any]:

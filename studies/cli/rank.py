@@ -51,6 +51,7 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument("--baseline", metavar="DESIGN", help=about)
     about = "metric of the Pareto front, instead of the study's; repeatable; '' for no front"
     parser.add_argument("--pareto", action="append", metavar="METRIC", help=about)
+    parser.add_argument("--rank-by", metavar="METRIC", help="S, or a metric of the study's own: its mean")
     parser.add_argument("--confidence", type=number, metavar="P", help="of the intervals, between 0 and 1")
     parser.add_argument("-o", "--output", metavar="FILE", help="write the ranking here, as .csv or .md, not to DIR")
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
@@ -111,7 +112,7 @@ def run(args: argparse.Namespace) -> None:
 
 def _with_settings(study: Study, args: argparse.Namespace) -> Study:
     """The study with the settings of the ranking that were requested, checked as if they stood in its file."""
-    changes: dict[str, Any] = {name: getattr(args, name) for name in ("baseline", "confidence")}
+    changes: dict[str, Any] = {name: getattr(args, name) for name in ("baseline", "confidence", "rank_by")}
     for name in ("require", "pareto"):
         texts = getattr(args, name)
         changes[name] = None if texts is None else [text for text in texts if text]
@@ -123,7 +124,8 @@ def _with_settings(study: Study, args: argparse.Namespace) -> Study:
 
 def _same_chances(stored: Study, study: Study) -> bool:
     """Whether no other setting was given that decides which design could be the best."""
-    return (stored.ranking.require, stored.ranking.confidence) == (study.ranking.require, study.ranking.confidence)
+    decisive = ("require", "confidence", "rank_by")
+    return all(getattr(stored.ranking, name) == getattr(study.ranking, name) for name in decisive)
 
 
 def _add_sensitivity(commands: Subparsers) -> None:

@@ -40,6 +40,8 @@ def add_parser(commands: _console.Subparsers) -> None:
     parser.add_argument("--dask", metavar="ADDRESS", help="run on a Dask scheduler, or on this machine: local")
     about = "depth beyond the line in m; repeatable (default: 0.3 0.5 0.8 1 1.75)"
     parser.add_argument("--depth", type=number, action="append", metavar="X", help=about)
+    about = "limit of a metric of the study's own, as 'time_outside > 1.0'; repeatable"
+    parser.add_argument("--metric", action="append", default=[], metavar="TEXT", help=about)
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout, no table")
     parser.set_defaults(run=run)
@@ -79,6 +81,7 @@ def run(args: argparse.Namespace) -> None:
         workers=args.workers,
         dask=args.dask,
         depths=args.depth or DEPTHS,
+        metric_limits=args.metric,
         notice=None if args.json else lambda line: say(out, line),
     )
     for name, rows in (("risk.csv", list(risk.rows())), ("worst.csv", list(risk.worst_rows()))):

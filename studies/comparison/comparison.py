@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,9 +10,11 @@ import numpy as np
 
 from ldctoolkit.clusters import doubt_of
 from ldctoolkit.errors import InputError
+from ldctoolkit.metrics import scenario_metric
 from ldctoolkit.simulation import Window
 
 from ..design import Design
+from ..requirements import criterion
 from ..results import FailedDesign, StudyResults
 from ..storage.folder_files import write_text
 from ..tables import Cell, Column, Row, Table, notebook_html, to_csv
@@ -86,6 +88,8 @@ class Comparison:
     bootstrap: int  # Resamples
     confidence: float  # Of the intervals, simultaneous over all designs
     warnings: tuple[str, ...] = ()
+    # The same as `S` of each designer's metric that both studies have: means over all departures, in its unit
+    metrics: Mapping[str, PairedDifferences] = dataclasses.field(default_factory=dict)
 
     def _repr_html_(self) -> str:
         """The comparison in a notebook."""
@@ -141,6 +145,8 @@ def design_table(comparison: Comparison, positions: Sequence[int]) -> Table:
         Column(f"{100 * comparison.confidence:g} % interval", unit, difference_text),
         Column("Scenarios changed", key="changed"), Column("Largest change", unit), Column("Failed, old / new"),
     ]  # fmt: skip
+    columns += [Column(f"New \u2212 old {criterion(name).title}", criterion(name).shown_unit, difference_text)
+                for name in comparison.metrics]  # fmt: skip
     numbers = np.stack([S.S_old, S.S_new, S.difference, S.low, S.high, S.largest], axis=1)
     rows = []
     for i in positions:
@@ -157,6 +163,7 @@ def design_table(comparison: Comparison, positions: Sequence[int]) -> Table:
                     changed,
                     at if changed else DASH,
                     f"{failed[0]:,} / {failed[1]:,}" if any(failed) else DASH,
+                    *(criterion(name).scale * float(of.difference[i]) for name, of in comparison.metrics.items()),
                 ],
                 "same" if S.verdict[i] is Verdict.SAME else "",
             )
@@ -292,6 +299,7 @@ def compare(
             seed=after.study.seed,
             **chance,
         ),
+        metrics=dict(_metric_differences(before, after, (at_old, at_new), shared, **chance)),
         failed_old=tuple(before.results.failed_runs[at_old][:, shared.old].sum(axis=1).tolist()),
         failed_new=tuple(after.results.failed_runs[at_new][:, shared.new].sum(axis=1).tolist()),
         winners=compare_winners(before, after, shared, _shared_fresh(before, after), **chance),
@@ -303,6 +311,24 @@ def compare(
         **chance,
     )
     return dataclasses.replace(comparison, warnings=tuple(_comparison_warnings(comparison, every.n - shared.n)))
+
+
+def _metric_differences(
+    before: FinishedStudy, after: FinishedStudy, at: tuple[list[int], list[int]], shared: SharedScenarios, **chance: Any
+) -> Iterator[tuple[str, PairedDifferences]]:
+    """Differences of means over all departures, of metrics that both studies have with the same content."""
+    known = {metric.name: metric.code for metric in before.study.metrics}
+    for metric in after.study.metrics:
+        if known.get(metric.name) == metric.code:
+            sides = zip((before, after), at, (shared.old, shared.new), strict=True)
+            old, new = (side.results.user_metrics[metric.name][rows][:, columns]
+                        for side, rows, columns in sides)  # fmt: skip
+            if np.isfinite(old).all() and np.isfinite(new).all():
+                seed = after.study.seed
+                yield (
+                    metric.name,
+                    paired_differences(old, new, shared.side, cluster=shared.cluster, seed=seed, **chance),
+                )
 
 
 def _shared_scenarios(before: FinishedStudy, after: FinishedStudy, differences: Sequence[str]) -> SharedScenarios:
@@ -386,6 +412,7 @@ def _comparison_warnings(comparison: Comparison, left_out: int) -> Iterator[str]
 _NAMES = "compared verdict design_old design_new label_old label_new"
 _SCORES = "S_old_m_s S_new_m_s difference_m_s difference_low_m_s difference_high_m_s scenarios"
 _CHANGED = "changed_scenarios largest_change_m_s largest_change_scenario failed_scenarios_old failed_scenarios_new"
+_METRIC: Final = ("old", "new", "difference", "difference_low", "difference_high")
 COLUMNS = (*_NAMES.split(), *_SCORES.split(), *_CHANGED.split(), "failure")
 """Columns of the CSV file; fields without a value are empty."""
 
@@ -423,18 +450,30 @@ def _row_of(
 def _design_row(comparison: Comparison, i: int) -> dict[str, Any]:
     design, S = comparison.designs[i], comparison.S
     scores, changed = (S.S_old[i], S.S_new[i], S.difference[i]), int(S.changed[i])
-    return _row_of(str(S.verdict[i]), design, design, scores, (S.low[i], S.high[i]), comparison.shared.n) | {
-        "changed_scenarios": changed,
-        "largest_change_m_s": float(S.largest[i]),
-        "largest_change_scenario": int(comparison.shared.new[S.largest_at[i]]) if changed else None,
-        "failed_scenarios_old": comparison.failed_old[i],
-        "failed_scenarios_new": comparison.failed_new[i],
+    users = {
+        scenario_metric(name).column(f"{name}_{what}"): float(values[i]) if math.isfinite(values[i]) else None
+        for name, of in comparison.metrics.items()
+        for what, values in zip(_METRIC, (of.S_old, of.S_new, of.difference, of.low, of.high), strict=True)
     }
+    row = _row_of(str(S.verdict[i]), design, design, scores, (S.low[i], S.high[i]), comparison.shared.n)
+    return (
+        row
+        | users
+        | {
+            "changed_scenarios": changed,
+            "largest_change_m_s": float(S.largest[i]),
+            "largest_change_scenario": int(comparison.shared.new[S.largest_at[i]]) if changed else None,
+            "failed_scenarios_old": comparison.failed_old[i],
+            "failed_scenarios_new": comparison.failed_new[i],
+        }
+    )
 
 
 def write_comparison(comparison: Comparison, path: str | Path) -> None:
     """Write a comparison as one CSV file, whole or not at all."""
-    write_text(Path(path), to_csv(Table.of(COLUMNS, comparison_rows(comparison))))
+    rows = [*comparison_rows(comparison)]
+    users = [scenario_metric(name).column(f"{name}_{what}") for name in comparison.metrics for what in _METRIC]
+    write_text(Path(path), to_csv(Table.of((*COLUMNS[:-1], *users, COLUMNS[-1]), rows)))
 
 
 def comparison_content(comparison: Comparison) -> dict[str, Any]:

@@ -402,6 +402,7 @@ def _ranking(side: FinishedStudy) -> Ranking:
         confidence=study.ranking.confidence,
         D_y=study.report.D_y,
         require=study.ranking.require,
+        rank_by=study.ranking.rank_by,
         setup=study.setup(),
         vehicles=study.vehicles,
     )

@@ -13,6 +13,7 @@ from typing import Final
 
 from ldctoolkit.checked_files import write_whole
 from ldctoolkit.control import Controller
+from ldctoolkit.controllers import external
 from ldctoolkit.errors import InputError, StoreError, expect
 from ldctoolkit.scenario_model.model import load_model
 from ldctoolkit.scenarios import Scenarios
@@ -20,7 +21,7 @@ from ldctoolkit.setup import Setup
 from ldctoolkit.surroundings import temporary_folder
 
 from .c_code import HEADER, SOURCE, Code, Origin, changed_files, is_stale, parameters, render, sources_of, write_folder
-from .loop_check import Check, check, compile_c, compiler, record, vectors
+from .loop_check import Check, check, record, vectors
 
 __all__ = ["Check", "Code", "Export", "Origin", "changed_files", "export_c", "is_stale", "parameters"]
 
@@ -97,7 +98,7 @@ def export_c(
     if not recording.counts.any():
         problem = f"no departure beyond y_s = {y_s:g} m that can be compared"
         raise InputError("scenarios", problem, allowed="one or more")
-    folder, command = Path(folder), compiler()
+    folder, command = Path(folder), external.compiler()
     texts = write_folder(code, folder, vectors(recording))
     files = tuple(folder / name for name in texts) + ((_write_fmu(code, texts, folder, command),) if fmu else ())
     if not run_check:
@@ -136,7 +137,7 @@ def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequenc
             for name in ("fmu.c", *sources, HEADER):
                 write_whole(Path(room) / name, files[f"sources/{name}"], StoreError)
             options = ("-std=c99", "-O2", "-fPIC", "-shared")
-            compile_c(command, Path(room), *options, "fmu.c", *sources, "-o", library, "-lm")
+            external.compile_c(command, Path(room), *options, "fmu.c", *sources, "-o", library, "-lm")
             files[f"binaries/{system}/{library}"] = (Path(room) / library).read_bytes()
     path = folder / "ldc_controller.fmu"
     stream = io.BytesIO()

@@ -147,7 +147,7 @@ def _predictive_form(law: predictive.PredictiveLaw, name: str) -> LawForm:
     sqp: dict[str, Any] = {
         "N": N, "M": moves.size, "nz": form.size, "nx": nx, "nc": form.layout.size, "own": len(form.own),
         "delay": law.delay, "window": window, "outputs": form.outputs, "kinds": len(form.soft),
-        "most": law.design.iterations, "programs": law.design.iterations or _nmpc_solver.MAX_ITERATIONS,
+        "most": law.most, "programs": law.most or _nmpc_solver.MAX_ITERATIONS,
         "iterations": 4 * (3 * moves.size + N * len(form.soft)), "quadratic": form.quadratic and not form.soft,
         "nonlinear": bool(form.nonlinear_rows), "wheel": sum(angles), "angles": [*angles, *[nx] * form.previous],
         "age": c_number(law.plant.age / law.plant.dt) if law.plant.age else "", "blocks": moves.size < N,

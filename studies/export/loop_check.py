@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import math
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final, Self
@@ -17,7 +15,8 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, LinearSteps, Preview, StatusArray, SteeringLaw
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.controllers import external
+from ldctoolkit.errors import InputError
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Takeover, drive
 from ldctoolkit.surroundings import temporary_folder
@@ -86,21 +85,6 @@ class Check:
 # ------------------------------------------------------------------------------------------------ compiled code
 
 
-def compiler() -> list[str] | None:
-    """The command of a C compiler; None without one."""
-    if shutil.which("cc"):
-        return ["cc"]
-    return [sys.executable, "-P", "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
-
-
-def compile_c(command: Sequence[str], folder: Path, *arguments: str) -> None:
-    """Run the compiler in a folder; raises `LdcError` with its first error."""
-    done = subprocess.run([*command, *arguments], cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode:
-        lines = done.stderr.strip().splitlines() or ["no message"]
-        raise LdcError(" ".join(command), next((line for line in lines if "error" in line), lines[0]))
-
-
 def struct(fields: Sequence[tuple[str, int, str]], *, single: bool = False) -> np.dtype[np.void]:
     """A struct of C as numpy sees it."""
     kinds = {"ldc_real": "f4" if single else "f8", "int32_t": "i4"}
@@ -130,9 +114,11 @@ class Compiled:
                 write_text(folder / file, text)
             sources = sources_of(texts)
             if not single:
-                compile_c(command, folder, *options, "-Os", "-c", "-fstack-usage", *sources)
+                external.compile_c(command, folder, *options, "-Os", "-c", "-fstack-usage", *sources)
                 self.size, self.stack = _sizes(folder)
-            compile_c(command, folder, *options, "-O2", "-fPIC", "-shared", *sources, "check.c", "-o", "ldc.so", "-lm")
+            external.compile_c(
+                command, folder, *options, "-O2", "-fPIC", "-shared", *sources, "check.c", "-o", "ldc.so", "-lm"
+            )
             self.library: Any = self.ffi.dlopen(str(folder / "ldc.so"))
         self.state = int(self.library.ldc_size(1))
 

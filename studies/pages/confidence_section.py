@@ -48,11 +48,14 @@ def _confidence_sentences(context: Context) -> Iterator[str]:
     inference = ranking.inference
     intervals = inference.difference, inference.difference_low, inference.difference_high
     away, low, high = (float(values[second]) for values in intervals)
-    interval = f" ({level} interval {difference_text(low)} to {difference_text(high)})"
+    scale, unit = (
+        (1.0, "m\u00b7s") if ranking.criterion is None else (ranking.ranked_by.scale, ranking.ranked_by.shown_unit)
+    )
+    interval = f" ({level} interval {difference_text(scale * low)} to {difference_text(scale * high)})"
     between = interval if math.isfinite(low + high) else ""
     separated = not inference.set_of_best[second]
     yield (
-        f"Second: {name}, {difference_text(away)} m\u00b7s from rank 1{between}; "
+        f"Second: {name}, {difference_text(scale * away)} {unit} from rank 1{between}; "
         f"{'the scenarios separate the two' if separated else 'the scenarios do not separate the two'}."
     )
     if not separated and abs(away) > 1e-6 and math.isfinite(low + high):
@@ -65,7 +68,7 @@ def _confidence_sentences(context: Context) -> Iterator[str]:
         apart = "not separated from" if inference.set_of_best[rival_law] else "separated from"
         yield (
             f"Best of another law: {design_name(ranking.designs[rival_law])}, "
-            f"{difference_text(float(inference.difference[rival_law]))} m\u00b7s from rank 1, {apart} it."
+            f"{difference_text(scale * float(inference.difference[rival_law]))} {unit} from rank 1, {apart} it."
         )
     winner = ranking.winner
     if winner is not None and math.isfinite(ranking.fresh.optimism[winner]):

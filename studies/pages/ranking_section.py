@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
-from ldctoolkit.metrics import METRICS
+from ldctoolkit.metrics import METRICS, USER_GROUP
 
 from ..ranking.finalists import SCORE
 from ..ranking.ranking import Ranking
@@ -138,7 +138,8 @@ def _named_metrics(context: Context) -> Markup:
         others.append(("Baseline", ranking.baseline))
     columns = [Column("Metric", text=True), Column(_title(context)), *(Column(name) for name, _ in others)]
     rows = []
-    for name, definition in METRICS.items():
+    users = {row.name: row for row in map(metric, ranking.metrics.beside) if row.group == USER_GROUP}
+    for name, definition in {**METRICS, **users}.items():
         try:
             values = [context.metric(name, i), *(math.nan if j is None else context.metric(name, j) for _, j in others)]
         except LookupError:
@@ -174,6 +175,8 @@ def _blocks(ranking: Ranking, study: Study, manifest: Manifest, verdict: Verdict
         yield f"{len(positions):,} of {len(ranking):,} designs; all of them are in `ranking.csv`.\n"
     window = "the whole departure" if ranking.window == "departure" else "the time under control"
     about = f"{SCORE}. Here it is taken over {window}. Intervals hold for all designs at once. {COLUMNS_TEXT}"
+    if (of := ranking.criterion) is not None:
+        about = f"Designs are ranked by {of.metric.title}. Differences are of it, above 0 where worse. {about}"
     yield f"{markdown_text(about)}\n"
     n_left, n_right = study.scenarios.counts
     synthetic = "; synthetic, not fitted to recorded driving" if manifest.model_synthetic else ""

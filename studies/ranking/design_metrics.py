@@ -19,7 +19,16 @@ from ldctoolkit.clusters import design_effect, several
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics import DTLE_LIMIT, METRICS, SCENARIO_METRICS, Interventions, Metric, share_within_dtle
+from ldctoolkit.metrics import (
+    DTLE_LIMIT,
+    MEAN_OF_ALL,
+    METRICS,
+    Interventions,
+    Metric,
+    UserMetric,
+    scenario_metric,
+    share_within_dtle,
+)
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -93,9 +102,9 @@ def release_metrics(results: StudyResults, *, D_y: float) -> Values:
         return values
 
     metrics: Values = {}
-    for group in _groups():
+    for group in _groups(results):
         names = tuple(dict.fromkeys(name for metric in group for name in metric.of))
-        metrics |= _by_blocks(of(group, names), acted, [getattr(results.metrics, name) for name in names])
+        metrics |= _by_blocks(of(group, names), acted, [results.of_scenarios(name) for name in names])
     return metrics
 
 
@@ -135,7 +144,7 @@ def sampling_intervals(
             alone = Interventions(acted.reshape(-1, 1), np.tile(d_y, len(acted))[:, None], D_y)
             values = np.reshape(metric.share(alone, *(column.reshape(-1, 1) for column in columns)), acted.shape)
         else:
-            of_all = not metric.of or SCENARIO_METRICS[metric.of[0]].over == "all"
+            of_all = not metric.of or scenario_metric(metric.of[0]).over == "all"
             values = columns[0] if of_all else np.where(acted, columns[0], np.nan)
         known = ~np.isnan(values)
         times = known if starts.size == order.size else np.add.reduceat(known[:, order], starts, axis=1, dtype=np.int64)
@@ -164,7 +173,7 @@ def sampling_intervals(
         columns = {"S_p95": [results.counted], "triggered": [results.status != EventStatus.NEVER_TRIGGERED],
                    "within_dtle_gain": [within[0] - within[1]]}.get(definition.name)  # fmt: skip
         if columns is None and (definition.share is not None or _quantile_of(definition)):
-            columns = [getattr(results.metrics, name) for name in definition.of]
+            columns = [results.of_scenarios(name) for name in definition.of]
         if definition.name == "comfortable_worst":  # whether it acts does not depend on the vehicle
             driven = np.isin(results.scenarios.index, first_of_each_side(results.scenarios, DEPARTURES).index)
             n = _acted(results)[:, driven].sum(axis=1)
@@ -191,10 +200,14 @@ def _quantile_of(metric: Metric) -> float:
     return float(text[1:]) / 100.0 if re.fullmatch(r"p\d+", text) else 0.0
 
 
-def _groups() -> list[list[Metric]]:
+def _groups(results: StudyResults) -> list[list[Metric]]:
     """Group the metrics that share a metric of the scenarios, so that each of the latter is read once."""
     groups: list[list[Metric]] = []
-    for added in METRICS.values():
+    users = [scenario_metric(name) for name in results.user_metrics]
+    for added in (
+        *METRICS.values(),
+        *(row for one in users if isinstance(one, UserMetric) for row in one.rows.values()),
+    ):
         if added.aggregate or added.share is not None:
             joined = [group for group in groups if any(set(added.of) & set(other.of) for other in group)]
             groups = [group for group in groups if group not in joined]
@@ -207,8 +220,9 @@ def _aggregated(metric: Metric, by: Interventions, *values: FloatArray) -> Float
     if metric.share is not None:
         return np.asarray(metric.share(by, *values))
     (only,) = values
-    of_all = SCENARIO_METRICS[metric.of[0]].over == "all"
-    if metric.aggregate == "mean":
+    of_all = scenario_metric(metric.of[0]).over == "all"
+    of_all = of_all or metric.aggregate == MEAN_OF_ALL
+    if metric.aggregate in ("mean", MEAN_OF_ALL):
         return np.asarray(only.mean(axis=1)) if of_all else masked_mean(only, by.acted)
     if metric.aggregate == "max":
         return np.asarray(only.max(axis=1)) if of_all else masked_max(only, by.acted)
@@ -355,7 +369,7 @@ def measures_of(results: StudyResults, vehicles: Sequence[str | VehicleModel], s
     A number that is unknown on any of the vehicles is NaN. Raises `InputError` for what was not measured.
     """
 
-    def measure(name: str, asked: str) -> FloatArray:
+    def measure(name: str, asked: str | VehicleModel) -> FloatArray:
         if name not in results.measures:
             hint = "run the study with it in [ranking] into the same folder: only that is driven"
             raise InputError("ranking", "was not measured in this run", value=asked, hint=hint)

@@ -7,6 +7,7 @@ from typing import Final, Self
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.metrics import METRICS, Metric
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 
@@ -132,8 +133,27 @@ class RecordingScores:
         return cls(text, len(refits.S), refits.failed, *ends.reshape(6, -1))
 
 
+@dataclasses.dataclass(frozen=True)
+class Criterion:
+    """What designs are ranked by where it is not S: means over all departures with simultaneous intervals, (d,) each.
+
+    `Inference` and `FreshScores` then hold its differences in place of those of S, above 0 where a design is worse, and
+    the optimism; their S, its intervals and reductions are those of S.
+    """
+
+    metric: Metric
+    mean: FloatArray
+    low: FloatArray
+    high: FloatArray
+    # On the fresh scenarios; NaN for designs that were not driven there
+    fresh: FloatArray
+    fresh_low: FloatArray
+    fresh_high: FloatArray
+
+
 def fresh_scores(
     results: StudyResults,
+    values: FloatArray,
     positions: IntArray,
     study_scores: Resampled,
     inference: Inference,
@@ -147,7 +167,7 @@ def fresh_scores(
     samples: int,
     confidence: float,
 ) -> FreshScores:
-    """Score the finalists on fresh scenarios, whose drivable ones the results hold.
+    """Score the finalists on fresh scenarios, whose drivable ones the results hold, by values (d, n) such as S.
 
     `positions` are those of the finalists in the ranking, whose first `ranked` designs are ranked; `study_scores` and
     `inference` are those of its d designs on the study scenarios. `paired` says whether the baseline is a law: a
@@ -156,9 +176,7 @@ def fresh_scores(
     d = study_scores.mean.size
     order = np.argsort(positions, kind="stable")
     positions, unmet = positions[order], [unmet[i] for i in order.tolist()]
-    scored = Resampled.of(
-        results.counted, results.scenarios.side, seed=seed, samples=samples, stream=_STREAM, rows=order
-    )
+    scored = Resampled.of(values, results.scenarios.side, seed=seed, samples=samples, stream=_STREAM, rows=order)
     rows = np.flatnonzero(
         (positions < ranked)
         & (inference.set_of_best[positions] | (positions != (-1 if baseline is None else baseline)))
@@ -254,8 +272,8 @@ class RankedDesigns:
     recordings: RecordingScores  # What the recordings behind the model leave open of the winner
     window: Window  # Of S
     convention: Convention  # Reading of the paper
-    # d designs: those that meet all requirements, smallest mean S first, equal designs in the study's order; then the
-    # other designs in the same way
+    # d designs: those that meet all requirements, smallest mean S first (or what is ranked by), equal designs in the
+    # study's order; then the other designs in the same way
     designs: tuple[Design, ...]
     index: IntArray  # (d,) Position of each in `StudyResults.designs`
     # (d,) 1 for the best; designs with the same mean S share a rank. 0 for a design that misses a requirement: it is
@@ -281,10 +299,32 @@ class RankedDesigns:
     confidence: float  # Of every family of intervals, and of the set of best
     warnings: tuple[str, ...]  # What a reader must know before comparing designs
     failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no metrics
+    criterion: Criterion | None = None  # What designs are ranked by; None for S
     ranges: tuple[tuple[str, str, Dimension], ...] = ()  # Of samples and searches: law, gain or threshold, its values
 
     def __len__(self) -> int:
         return len(self.designs)
+
+    @property
+    def ranked_by(self) -> Metric:
+        """The row of what designs are ranked by."""
+        return METRICS["S"] if self.criterion is None else self.criterion.metric
+
+    def apart(self, *values: float, unit: str = "m s", text: str = ".4f") -> list[str]:
+        """Differences to other designs as texts, in the unit of what designs are ranked by (S: `unit`), which ends the
+        first one.
+        """
+        of = self.ranked_by
+        shown = [f"{of.scale * value:{text}}" for value in values]
+        return [f"{shown[0]} {unit if of.name == 'S' else of.shown_unit}".rstrip(), *shown[1:]]
+
+    @property
+    def costs(self) -> tuple[FloatArray, FloatArray]:
+        """What is to be small, (d,), on the study scenarios and on the fresh ones."""
+        if (of := self.criterion) is None:
+            return self.metrics.S, self.fresh.S
+        sign = -1.0 if of.metric.better == "more" else 1.0
+        return sign * of.mean, sign * of.fresh
 
     def __repr__(self) -> str:
         best = (

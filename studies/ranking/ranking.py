@@ -6,27 +6,27 @@ import dataclasses
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import Frame, IntArray
+from ldctoolkit.arrays import FloatArray, Frame, IntArray
 from ldctoolkit.clusters import doubt_of, several
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StudyError, expect
-from ldctoolkit.metrics import METRICS, RELEASE_METRICS
+from ldctoolkit.metrics import METRICS, RELEASE_METRICS, scenario_metric
 from ldctoolkit.vehicle import VehicleModel
 
 from ..design import Design
-from ..requirements import SETS, metric, missed_by, requirements_of
+from ..requirements import SETS, criterion, metric, missed_by, requirements_of
 from ..results import StudyResults
 from ..standards import standard_names
 from ..storage.checked_parts import differences
 from ..storage.folder_files import write_text
 from ..study_file import Study
-from ..tables import Table, to_csv, to_polars
+from ..tables import Table, to_csv, to_polars, to_text
 from .design_metrics import (
     design_metrics,
     drivable_results,
@@ -37,6 +37,7 @@ from .design_metrics import (
     sampling_intervals,
 )
 from .finalists import (
+    Criterion,
     FreshScores,
     RankedDesigns,
     RecordingScores,
@@ -45,8 +46,8 @@ from .finalists import (
     fresh_scores,
     no_fresh_scores,
 )
-from .inference import Inference, Resampled, infer, spread_is_known, tail_text
-from .verdict import depths, ranking_html
+from .inference import Inference, Resampled, infer, row_means, spread_is_known, tail_text
+from .verdict import TOP, depths, listed_positions, ranking_html, ranking_table
 
 if TYPE_CHECKING:
     import polars as pl
@@ -124,6 +125,12 @@ def _warnings_of_runs(every_run: StudyResults, results: StudyResults) -> Iterato
             often.append(name)
     if wrong:
         yield f"Commands that were not finite, of laws that declare no solver to fall back from: {_listed(wrong)}."
+    for name, values in results.user_metrics.items():
+        among = results.status != EventStatus.NEVER_TRIGGERED
+        unknown = (np.isnan(values) & (among | (scenario_metric(name).over == "all"))).sum(axis=1)
+        if (rows := np.flatnonzero(unknown)).size:
+            named = [f"{results.designs[i].label} in {unknown[i]:,} departures" for i in rows.tolist()]
+            yield f"Metric {name} is not a number, and what would count it is not known: {_listed(named)}."
     if often:
         yield f"Commands that were not finite, or came from a law's fallback: {_listed(often)}."
 
@@ -155,6 +162,10 @@ class Ranking(RankedDesigns, Frame):
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
         return table.select(*first, pl.exclude(first))
 
+    def __str__(self) -> str:
+        table = ranking_table(self, listed_positions(self, TOP))
+        return "\n".join((table.title, to_text(table), *(f"Warning: {warning}" for warning in self.warnings)))
+
     def _repr_html_(self) -> str:
         """HTML for a notebook."""
         return ranking_html(self)
@@ -171,6 +182,7 @@ class Ranking(RankedDesigns, Frame):
         baseline: str = "",
         require: Sequence[str] = (),
         pareto: Sequence[str] = (),
+        rank_by: str = "S",
         setup: Setup | None = None,
         vehicles: Sequence[str | VehicleModel] = (),
         standards: Sequence[str] = (),
@@ -193,23 +205,32 @@ class Ranking(RankedDesigns, Frame):
         named = (*standards, *pareto_metrics, *(requirement.metric.name for requirement in requirements))
         measures = measures_of(results, vehicles, [name for name in named if name in standard_names()])
         metrics = design_metrics(results, drivable, D_y, measures, setup)
-        counted, side = drivable.counted, drivable.scenarios.side
+        costs, side = drivable.costs(rank_by), drivable.scenarios.side
+        # inference has an absolute tolerance, made for S
+        scale = 1.0 if rank_by == "S" else float(np.abs(costs).mean()) or 1.0
+        cost = row_means(costs)
         missed = missed_by(requirements, metrics)
-        order = np.lexsort((metrics.S, np.array([bool(misses) for misses in missed]))).astype(np.int64)
+        order = np.lexsort((cost, np.array([bool(misses) for misses in missed]))).astype(np.int64)
         ranked = sum(not misses for misses in missed)
         in_order = metrics.take(order)
         position = None if reference is None else int(np.flatnonzero(order == reference)[0])
         cluster = drivable.scenarios.cluster
-        resampled = Resampled.of(counted, side, seed=seed, samples=bootstrap, rows=order, cluster=cluster)
-        inference = infer(resampled, ranked=ranked, baseline=position, confidence=confidence)
+
+        def inferred(values: FloatArray) -> tuple[Resampled, Inference]:
+            resampled = Resampled.of(values, side, seed=seed, samples=bootstrap, rows=order, cluster=cluster)
+            return resampled, infer(resampled, ranked=ranked, baseline=position, confidence=confidence)
+
+        of_S = resampled, inference = inferred(drivable.counted)
+        if rank_by != "S":
+            resampled, inference = inferred(costs / scale)
         names = [requirement.metric.name for requirement in limits]
         limited = sampling_intervals(drivable, metrics, names, D_y, confidence, setup)[:, :, order]
         mean_S = [name == "S" for name in names]
-        limited[mean_S, 1:] = inference.S_low, inference.S_high
+        limited[mean_S, 1:] = of_S[1].S_low, of_S[1].S_high
         fresh_limited, fresh_saved = np.full_like(limited, np.nan), np.full(len(order), np.nan)
         warnings = list(_warnings_of_runs(results, drivable))
         designs = tuple(results.designs[i] for i in order)
-        fresh = no_fresh_scores(len(order), ranked)
+        fresh = fresh_S = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
             position_of = {design.id: k for k, design in enumerate(designs)}
             positions = np.array([position_of[design.id] for design in results.fresh.designs], dtype=np.int64)
@@ -218,26 +239,36 @@ class Ranking(RankedDesigns, Frame):
             rows = [row_of[design.id] for design in results.fresh.designs]
             of_finalists = {name: values[rows] for name, values in measures.items()}
             fresh_metrics = design_metrics(results.fresh, fresh_results, D_y, of_finalists, setup)
-            fresh = fresh_scores(
-                fresh_results,
-                positions,
-                resampled,
-                inference,
-                [tuple(miss.requirement.text for miss in misses) for misses in missed_by(requirements, fresh_metrics)],
-                first_failed=designs[0] in [failure.design for failure in results.fresh.failed],
-                ranked=ranked,
-                baseline=position,
-                paired=position is not None and not designs[position].is_baseline,
-                seed=seed,
-                samples=bootstrap,
-                confidence=confidence,
-            )
+            unmet = [
+                tuple(miss.requirement.text for miss in misses) for misses in missed_by(requirements, fresh_metrics)
+            ]
+            first_failed = designs[0] in [failure.design for failure in results.fresh.failed]
+
+            def scored(values: FloatArray, study_scores: Resampled) -> FreshScores:
+                return fresh_scores(
+                    fresh_results,
+                    values,
+                    positions,
+                    study_scores,
+                    inference,
+                    unmet,
+                    first_failed=first_failed,
+                    ranked=ranked,
+                    baseline=position,
+                    paired=position is not None and not designs[position].is_baseline,
+                    seed=seed,
+                    samples=bootstrap,
+                    confidence=confidence,
+                )
+
+            fresh_S = scored(fresh_results.counted, of_S[0])
+            fresh = fresh_S if rank_by == "S" else scored(fresh_results.costs(rank_by) / scale, resampled)
             warnings += _about_finalists(fresh, ranked)
             intervals = sampling_intervals(fresh_results, fresh_metrics, names, D_y, confidence, setup)
             worst = [name == "comfortable_worst" for name in names]  # driven on the study's departures only
             intervals[worst] = limited[worst][:, :, positions]
             fresh_limited[:, :, positions] = intervals
-            fresh_limited[mean_S, 1:] = fresh.low, fresh.high
+            fresh_limited[mean_S, 1:] = fresh_S.low, fresh_S.high
             fresh_saved[positions] = fresh_metrics.reduction
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
@@ -252,17 +283,23 @@ class Ranking(RankedDesigns, Frame):
         for i in best_of_laws(designs):
             if not designs[i].is_baseline and (text := tail_text(*depths(results, int(order[i]), setup))):
                 warnings.append(f"{designs[i].label} is {text}.")
-        known = np.isfinite(fresh.S), np.isfinite(fresh.baseline_difference), np.isfinite(fresh_saved)
-        at_fresh = fresh.S, fresh.baseline_difference, fresh_saved
-        elsewhere = in_order.S, inference.baseline_difference, in_order.reduction
+        at_fresh = fresh_S.S, fresh_S.baseline_difference, fresh_saved
+        elsewhere = in_order.S, of_S[1].baseline_difference, in_order.reduction
+        known = [np.isfinite(values) for values in at_fresh]
         centres = np.stack([np.where(*columns) for columns in zip(known, at_fresh, elsewhere, strict=True)])
         ids = [design.id for design in designs]
         front = np.zeros(len(order), dtype=np.bool_)
         if pareto_metrics and ranked:
             front[:ranked] = pareto_front(pareto_costs(pareto_metrics, metrics)[order[:ranked]])
-        S = in_order.S[:ranked]
+        best_first = cost[order[:ranked]]
         rank = np.zeros(len(order), dtype=np.int64)
-        rank[:ranked] = np.searchsorted(S, S, side="left") + 1
+        rank[:ranked] = np.searchsorted(best_first, best_first, side="left") + 1
+        ranked_by = None
+        if rank_by != "S":
+            ranked_by = _criterion(rank_by, scale, cost[order], inference, fresh)
+            inference = _in_unit(inference, scale, S_low=of_S[1].S_low, S_high=of_S[1].S_high)
+            of_fresh = {name: getattr(fresh_S, name) for name in ("S", "low", "high", "reduction")}
+            fresh = _in_unit(fresh, scale, **of_fresh)
         return cls(
             metrics=in_order,
             inference=inference,
@@ -297,7 +334,28 @@ class Ranking(RankedDesigns, Frame):
             confidence=confidence,
             warnings=tuple(warnings),
             failed=results.failed,
+            criterion=ranked_by,
         )
+
+
+_Differences = TypeVar("_Differences", Inference, FreshScores)
+
+
+def _in_unit(of: _Differences, scale: float, **of_S: Any) -> _Differences:
+    """Differences and optimism in the unit of what is ranked by, with what is said of S."""
+    names = [f.name for f in dataclasses.fields(of) if "difference" in f.name or f.name.startswith("optimism")]
+    scaled: dict[str, Any] = {name: scale * getattr(of, name) for name in names if name != "optimism_paired"}
+    return dataclasses.replace(of, **scaled, **of_S)
+
+
+def _criterion(rank_by: str, scale: float, cost: FloatArray, inference: Inference, fresh: FreshScores) -> Criterion:
+    """What is ranked by, in its own unit and direction."""
+    row = criterion(rank_by)
+    study, again = (cost, scale * inference.S_low, scale * inference.S_high), (fresh.S, fresh.low, fresh.high)
+    columns = [*study, *(scale * values for values in again)]
+    if row.better == "more":
+        columns = [-columns[i] for i in (0, 2, 1, 3, 5, 4)]
+    return Criterion(row, *columns)
 
 
 def _replayed(results: StudyResults | None, designs: Sequence[Design], **settings: Any) -> ReplayedScores:
@@ -354,6 +412,7 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
         baseline=settings.baseline,
         require=settings.require,
         pareto=settings.pareto,
+        rank_by=settings.rank_by,
         setup=results.setup or study.setup(),
         vehicles=study.vehicles,
         standards=study.standards,
@@ -419,10 +478,15 @@ _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_d
 def _numbers(ranking: Ranking) -> dict[str, Any]:
     """Column of ``ranking.csv`` -> (d,) scores with their intervals, then the other metrics."""
     numbers = {
-        _column_of(prefix, name): getattr(getattr(ranking, table), name)
+        _column_of(prefix, name, ranking): getattr(getattr(ranking, table), name)
         for table, prefix, names in _SCORES
         for name in names.split()
     }
+    if (of := ranking.criterion) is not None:
+        ends = {"_low": of.low, "_high": of.high}
+        for prefix, values in (("", ends), ("fresh_", {"": of.fresh, "_low": of.fresh_low, "_high": of.fresh_high})):
+            numbers |= {scenario_metric(of.metric.of[0]).column(f"{prefix}{of.metric.name}{end}"): column
+                        for end, column in values.items()}  # fmt: skip
     numbers["pareto"] = ranking.pareto
     numbers["winner"] = np.arange(len(ranking)) == ranking.winner
     numbers |= {METRICS[name].column: getattr(ranking.metrics, name) for name in ("triggered", "deeper")}
@@ -432,16 +496,17 @@ def _numbers(ranking: Ranking) -> dict[str, Any]:
     return numbers | {metric(name).column: ranking.metrics.beside[name] for name in standards}
 
 
-def _column_of(prefix: str, name: str) -> str:
+def _column_of(prefix: str, name: str, ranking: Ranking) -> str:
     """Column of a score, or of an interval's end; a pure number has the attribute's name."""
     if name in ("set_of_best", "best_frequency") or "reduction" in name:
         return prefix + name
-    if name.startswith("optimism"):
-        return f"{name}_m_s"
     if name.startswith("difference"):
         to = "first" if prefix else "best"
         name = name.replace("difference", f"difference_to_{to}", 1) if prefix or name == "difference" else name
-    return f"{prefix}{name}_m_s"
+    column = name if name.startswith("optimism") else f"{prefix}{name}"
+    # what the recordings leave open is known for S alone
+    of_S = ranking.criterion is None or prefix == "recordings_" or not re.search("difference|optimism", name)
+    return f"{column}_m_s" if of_S else scenario_metric(ranking.ranked_by.of[0]).column(column)
 
 
 def write_csv(ranking: Ranking, path: str | Path) -> None:
@@ -480,7 +545,7 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
                 column = f"{fresh}{name}_{{}}{limit.metric.column.removeprefix(name)}"
                 numbers |= dict(zip(map(column.format, ("low", "high")), ends, strict=True))
     reasons = [""] * len(ranking) + [failure.reason for failure in ranking.failed]
-    optimism_of = "baseline_difference" if ranking.fresh.optimism_paired else "S"
+    optimism_of = "baseline_difference" if ranking.fresh.optimism_paired else ranking.ranked_by.name
     for i, (design, reason) in enumerate(zip(_all_designs(ranking), reasons, strict=True)):
         here = i < len(ranking)
         gain_values = dict(zip(_gain_columns(design), (value for _, value in design.gains), strict=True))

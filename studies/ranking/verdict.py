@@ -9,7 +9,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.declared import Gain
-from ldctoolkit.metrics import METRICS
+from ldctoolkit.metrics import METRICS, USER_GROUP, Metric
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import misleading
@@ -17,7 +17,7 @@ from ldctoolkit.setup import Setup
 
 from ..design import Design
 from ..design_space import THRESHOLD, Y_S, Choices, Span
-from ..requirements import Estimate, G, Miss, metric_values
+from ..requirements import Estimate, G, Miss, metric, metric_values
 from ..results import StudyResults
 from ..tables import Cell, Column, Row, Table, Value, notebook_html
 from ..text import compact
@@ -146,7 +146,7 @@ def verdict(
     if meeting or not acting:
         position = meeting[0] if ranking.winner is None and meeting else ranking.winner or 0
         title = _of_winner(ranking, position)
-        sentences = [_score(ranking, position)]
+        sentences = [f"{_criterion(ranking, position)}{_score(ranking, position)}"]
         broken = _broken(ranking, position)
         if broken:
             sentences.append(f"It is not usable as it is: {_list(broken)}.")
@@ -198,7 +198,23 @@ def _of_winner(ranking: RankedDesigns, position: int) -> str:
         return f"No winner: no finalist meets the requirements on the fresh scenarios. First: {name}"
     if ranking.requirements:
         return f"Best design that meets the limits: {name}"
-    return f"{'Smallest S, but not usable' if _broken(ranking, position) else 'Smallest S'}: {name}"
+    of = ranking.ranked_by
+    best = "Smallest S" if of.name == "S" else f"{'Largest' if of.better == 'more' else 'Smallest'} {of.title}"
+    return f"{best}{', but not usable' if _broken(ranking, position) else ''}: {name}"
+
+
+def _criterion(ranking: RankedDesigns, i: int) -> str:
+    """What a design is ranked by, on the sample of `_score`; empty for S."""
+    if (of := ranking.criterion) is None:
+        return ""
+    fresh = bool(np.isfinite(of.fresh[i]))
+    columns = (of.fresh, of.fresh_low, of.fresh_high) if fresh else (of.mean, of.low, of.high)
+    value, low, high = (float(of.metric.scale * values[i]) for values in columns)
+    digits = of.metric.digits
+    level = f"{100 * ranking.confidence:g} % interval"
+    between = f" ({level} {low:.{digits}f} to {high:.{digits}f})" if math.isfinite(low + high) else ""
+    shown = f"{value:.{digits}f} {of.metric.shown_unit}".rstrip()
+    return f"{of.metric.title}: {shown} on {ranking.sample(i)}{between}. "
 
 
 def _score(ranking: RankedDesigns, i: int) -> str:
@@ -368,9 +384,10 @@ def optimism_text(ranking: RankedDesigns, i: int, unit: str = "m s") -> str:
     word = "worse" if change > 0 else "better"
     of = ", as the difference to the baseline," if ranking.fresh.optimism_paired else ""
     chance = "within sampling error" if low <= 0 <= high else "more than sampling error"
+    size, ends = ranking.apart(abs(change), unit=unit)[0], ranking.apart(0.0, low, high, text="+.4f")[1:]
     return (
-        f"On fresh scenarios the winner scored{of} {abs(change):.4f} {unit} {word} than on the study scenarios "
-        f"({low:+.4f} .. {high:+.4f}), {chance}."
+        f"On fresh scenarios the winner scored{of} {size} {word} than on the study scenarios "
+        f"({' .. '.join(ends)}), {chance}."
     )
 
 
@@ -445,9 +462,9 @@ def blocked_values(ranking: RankedDesigns, position: int) -> tuple[BlockedValue,
             if (i := beside[x]) >= len(ranking):
                 continue
             fresh = np.isfinite(ranking.fresh.S[[i, position]]).all()
-            S = ranking.fresh.S if fresh else ranking.metrics.S
+            cost = ranking.costs[bool(fresh)]
             missed = ranking.missed[i] or tuple(of for of in ranking.estimates(i) if of.required and not of.met)
-            if missed and S[i] < S[position]:
+            if missed and cost[i] < cost[position]:
                 blocked.append(BlockedValue(gain, x, missed))
     return tuple(blocked)
 
@@ -474,15 +491,26 @@ StepTimes = Mapping[str, tuple[float, float]]
 """Median and 99 % quantile of the time of a law's step [s], by the identifier of a design."""
 
 
+def user_columns(ranking: RankedDesigns) -> dict[str, Metric]:
+    """Metrics of the designer's that a table shows: what is ranked by, what is required, else the mean of each."""
+    rows = [row for row in map(metric, ranking.metrics.beside) if row.group == USER_GROUP]
+    named = [ranking.ranked_by, *(requirement.metric for requirement in ranking.requirements)]
+    asked = [row for row in named if row.group == USER_GROUP]
+    others = [row for row in rows if row.aggregate == "mean" and row.of not in [other.of for other in asked]]
+    return {row.name: row for row in (*asked, *others)}
+
+
 def ranking_table(ranking: RankedDesigns, positions: Sequence[int], times: StepTimes | None = None) -> Table:
     """Table of the designs at the given positions, for terminal, Markdown and notebook."""
     heads = (("Reduction", "reduction"), ("a_y p95", "a_y"), ("Jerk p95", "jerk"), ("Needless", "needless"))
     level = f"{100 * ranking.confidence:g} % interval"
+    users = user_columns(ranking)
     columns = [
         Column("Rank", key="rank"),
         Column("Law", text=True),
         Column("y_s", "m", "g", key="y_s", about="Trigger threshold"),
         Column("Gains", text=True, about="Gains that differ from their defaults"),
+        *(Column(of.title, of.shown_unit, f".{of.digits}f", key=name) for name, of in users.items()),
         Column("Mean S", "m\u00b7s", ".3f", key="S"),
         Column(level, "m\u00b7s", ".3f", about="Of mean S, for all designs at once"),
         *(
@@ -495,6 +523,7 @@ def ranking_table(ranking: RankedDesigns, positions: Sequence[int], times: StepT
           for head, key, what in _STEP_COLUMNS if times),
         Column("Verdict", text=True),
     ]  # fmt: skip
+    shown = {name: of.scale * metric_values(name, ranking) for name, of in users.items()}
     metrics = {name: METRICS[name].scale * metric_values(name, ranking) for name in RANKING_METRICS}
     rows = []
     for before, i in zip([-1, *positions], positions, strict=False):
@@ -510,7 +539,8 @@ def ranking_table(ranking: RankedDesigns, positions: Sequence[int], times: StepT
             )
         )
         cells: list[Cell | Value] = [
-            int(rank) or math.nan, law_title(design), design.y_s, gains_text(design, "="), S, (low, high),
+            int(rank) or math.nan, law_title(design), design.y_s, gains_text(design, "="),
+            *(Cell(float(values[i]), bad=name in missed) for name, values in shown.items()), S, (low, high),
             *(Cell(float(values[i]), bad=name in missed) for name, values in metrics.items()),
             *([fresh] if ranking.fresh.scenarios else []),
             *(1e6 * value for value in (times.get(design.id, (math.nan,) * 2) if times else ())),
@@ -518,7 +548,8 @@ def ranking_table(ranking: RankedDesigns, positions: Sequence[int], times: StepT
         ]  # fmt: skip
         kind = "winner" if i == ranking.winner else "baseline" if i == ranking.baseline else ""
         rows.append(Row(cells, kind, apart=i > before + 1))
-    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by mean S, {ranking.label}"
+    by = "mean S" if ranking.criterion is None else ranking.ranked_by.title
+    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by {by}, {ranking.label}"
     return Table(title, columns, rows, head=1)
 
 
@@ -606,7 +637,8 @@ def limit_line(ranking: RankedDesigns) -> str:
 
     second = max(within, without)
     low, high = (float(getattr(ranking.inference, f"difference_{end}")[second]) for end in ("low", "high"))
-    apart = f" Between them: {ranking.inference.difference[second]:.4f} m s ({low:.4f} .. {high:.4f})."
+    away, *interval = ranking.apart(float(ranking.inference.difference[second]), low, high)
+    apart = f" Between them: {away} ({' .. '.join(interval)})."
     return (
         f"With a limit of comfort in the law: {parts(within, ' than without control')} (95 % quantile); the best "
         f"without: {parts(without, '')}.{'' if min(within, without) or math.isnan(low + high) else apart}"
@@ -623,10 +655,10 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         value, low, high = (float(getattr(of, name + end)[i]) for end in ("", "_low", "_high"))
         if math.isfinite(low):
             where = "fresh" if fresh else "study"
-            yield (
-                f"Winner minus baseline ({design_name(ranking.designs[b])}): {value:+.4f} m s ({low:+.4f} .. "
-                f"{high:+.4f}) on the {where} scenarios."
-            )
+            what = "Winner minus baseline" if ranking.ranked_by.better == "less" else "Baseline minus winner"
+            size, *interval = ranking.apart(value, low, high, text="+.4f")
+            name = design_name(ranking.designs[b])
+            yield f"{what} ({name}): {size} ({' .. '.join(interval)}) on the {where} scenarios."
     if i is not None and ranking.fresh.scenarios and not np.isfinite(ranking.fresh.S[i]):
         yield "The winner was no finalist; it has no fresh score."
     if i is not None and np.isfinite(ranking.fresh.optimism[i]):
@@ -643,7 +675,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
             f"{less if math.isfinite(saved) else ''}."
         )
         finalists = np.where(np.isfinite(ranking.fresh.S) & (ranking.rank > 0), ranking.replayed.S, np.inf)
-        if (best := int(np.nanargmin(finalists))) != i:
+        if (best := int(np.nanargmin(finalists))) != i and ranking.criterion is None:
             yield f"The first finalist there is {design_name(ranking.designs[best])}."
     if recordings := recordings_text(ranking):
         yield recordings

@@ -15,7 +15,11 @@ from ldctoolkit.arrays import IntArray
 from ldctoolkit.code_content import content_of, modules_of, pickled_by_value
 from ldctoolkit.control import Controller, EventStatus
 from ldctoolkit.errors import LdcError, StoreError
+from ldctoolkit.metrics import UserMetric
 from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.simulation import Takeover
+from ldctoolkit.simulation.loop import recorded_run
+from ldctoolkit.simulation.sampled_paths import PathSampler
 
 from ..design import Design
 from ..results import FailedRun, TaskResult
@@ -87,6 +91,9 @@ _ROWS_A_PART = 250_000
 """Rows after which a part is stored before its time: results that wait are in memory twice, and the last is written
 while nothing else is left to do."""
 
+_SAMPLES: Final = 2**19  # of paths that are in memory at a time, where metrics of a designer need them
+_FEWEST_PATHS: Final = 64
+
 _MOST_FAULTS: Final = 3  # scenarios of a design that may end or stop a worker; with one more the design has failed
 _FAULTS: Final[dict[Fault, tuple[EventStatus, str]]] = {
     "died": (EventStatus.CRASHED, "ends its worker process"),
@@ -130,7 +137,12 @@ class Campaign:
             window=study.simulation.window,
             laws=laws_to_send(study.classes.values()) if executor.isolated else b"",
             time_limit=time_limit if executor.isolated else 0.0,
+            metrics=metrics_to_send(study.metrics) if executor.isolated and study.metrics else study.metrics,
         )
+        # scenarios whose paths are in memory at a time
+        dt, longest = self._job.setup.dt, float(scenarios.T[np.isfinite(scenarios.T)].max(initial=0.0))
+        samples = 1.0 + (longest + self._job.setup.settle) / dt
+        self._most = max(_FEWEST_PATHS, int(_SAMPLES / samples)) if study.metrics else max(len(scenarios), 1)
         self._seconds_a_run: dict[str, float] = {}  # of each law
         self._faults: dict[str, dict[int, Fault]] = defaultdict(dict)  # by row number
         self._failed: dict[str, int] = {}  # the first batch that it failed on
@@ -157,6 +169,11 @@ class Campaign:
                 self._faults[id] |= dict.fromkeys(self.table.rows_with(id, status).tolist(), fault)
         if missing:
             # in this process, each law once: workers would all compile the same
+            if self.study.metrics:  # a mistake in one of them is found before a design runs
+                over = Takeover.build(
+                    self.scenarios.take(np.arange(min(8, len(self.scenarios)))), self._job.setup, y_s=0.0
+                )
+                PathSampler(over, self.study.metrics).values(recorded_run(over))
             laws = {part.designs[0].law for part in missing} - self._loaded
             self._loaded |= laws
             load_loops(laws, self.scenarios, self._job.setup, min(part.designs[0].y_s for part in missing))
@@ -178,7 +195,8 @@ class Campaign:
             laws[design.law].append(design)
         n, missing = len(self.scenarios), []
         for law in dict.fromkeys(design.law for design in designs):
-            for batch, rows in enumerate(np.array_split(np.arange(n), -(-n // laws[law][0].batch))):
+            batches = -(-n // min(laws[law][0].batch, self._most))
+            for batch, rows in enumerate(np.array_split(np.arange(n), batches)):
                 left = [design for design in laws[law] if not self.table.has(design.id, rows)]
                 if left:
                     missing.append(_Missing(batch, rows, left))
@@ -288,4 +306,14 @@ def laws_to_send(kinds: Iterable[type[Controller]]) -> bytes:
     except Exception as error:
         names = ", ".join(kind.__name__ for kind in every)
         problem = f"registered controllers ({names}) cannot be sent to worker processes ({error})"
+        raise LdcError(problem=problem, hint="use one worker") from None
+
+
+def metrics_to_send(metrics: Sequence[UserMetric]) -> bytes:
+    """Designers' metrics by value, as laws are sent."""
+    try:
+        return pickled_by_value(tuple(metrics), {name for metric in metrics for name in modules_of(metric.function)})
+    except Exception as error:
+        names = ", ".join(metric.name for metric in metrics)
+        problem = f"metrics ({names}) cannot be sent to worker processes ({error})"
         raise LdcError(problem=problem, hint="use one worker") from None

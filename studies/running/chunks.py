@@ -19,16 +19,19 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError, LdcError, ModelError
+from ldctoolkit.metrics import UserMetric
 from ldctoolkit.scenario_model import Given, ScenarioModel
 from ldctoolkit.scenario_model.refit import refit
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover
+from ldctoolkit.simulation.sampled_paths import PathSampler
 from ldctoolkit.version import versions
 
 from ..design import Design
+from ..requirements import Requirement
 from .dispatch import Work
-from .tasks import drive_each, learn
+from .tasks import drive_each, learn, unpickled
 
 BIN, BINS = 0.05, 60  # [m] of the histogram of depths, and how many; one more is for what is deeper
 _WORST: Final = 20  # worst departures of a design
@@ -84,13 +87,16 @@ class ChunkJob:
     dtle_limits: tuple[float, ...]
     refits: int = 0  # of the model; on all of them half as many departures are driven
     laws: bytes = b""  # controllers that no installed package offers
+    metrics: bytes | tuple[UserMetric, ...] = ()  # of a designer; pickled for another process
+    limits: tuple[Requirement, ...] = ()  # on these metrics: a departure whose value meets one has the event
     token: int = 0  # of the run in its process
 
     @property
     def events(self) -> tuple[str, ...]:
         """Names of the events, in the order of all arrays."""
         depths, limits = (f"depth > {x:g} m" for x in self.depths), (f"DTLE < {x:g} m" for x in self.dtle_limits)
-        return (*depths, *limits, "opposite line crossed", "diverged")
+        users = (f"{of.metric.of[0]} {of.operator} {of.limit:g}" for of in self.limits)
+        return (*depths, *limits, *users, "opposite line crossed", "diverged")
 
     @property
     def empty(self) -> Tally:
@@ -108,8 +114,14 @@ class ChunkJob:
         same = {"versions": dict(versions()), "designs": designs, "setup": setup, "n": self.n}
         same |= {"model": self.model.content_hash, "given": self.given, "seed": self.setup.seed, "chunk": self.chunk}
         recorded = hashlib.sha256(repr(self.model.provenance.recorded).encode()).hexdigest()[:16]
+        same |= {"metrics": [metric.code for metric in self._metrics]} if self.metrics else {}
         same |= {"left_right": self.share, "events": self.events, "refits": self.refits, "recorded": recorded}
         return dict(json.loads(json.dumps(same)))
+
+    @property
+    def _metrics(self) -> tuple[UserMetric, ...]:
+        metrics: tuple[UserMetric, ...] = unpickled(self.metrics) if isinstance(self.metrics, bytes) else self.metrics
+        return metrics
 
     def scenarios(self, k: int) -> Scenarios:
         """The departures of chunk k."""
@@ -151,14 +163,17 @@ class ChunkJob:
         for j, side in enumerate((LEFT, RIGHT)):
             tally.n[j] = (valid & (drawn.side == side)).sum()
             tally.invalid[j] = (~valid & (drawn.side == side)).sum()
-        without = self._count(tally, 0, over[self.designs[0].y_s], None, valid, None)
+        metrics, y_0 = self._metrics, self.designs[0].y_s
+        without = self._count(tally, 0, PathSampler(over[y_0], metrics), None, valid, None)
         for y_s, takeover in over.items():
+            sampler = PathSampler(takeover, metrics)
             rows = [i for i, design in enumerate(self.designs) if i and design.y_s == y_s]
-            runs = drive_each([self.designs[i] for i in rows], takeover, self.setup.convention)
-            for i, run in zip(rows, runs, strict=True):
-                if isinstance(run, str):
-                    raise LdcError(self.designs[i].label, run)
-                self._count(tally, i, takeover, run, valid, without)
+            for group in [[i] for i in rows] if metrics else [rows]:
+                designs, convention = [self.designs[i] for i in group], self.setup.convention
+                for i, run in zip(group, drive_each(designs, takeover, convention, paths=bool(metrics)), strict=True):
+                    if isinstance(run, str):
+                        raise LdcError(self.designs[i].label, run)
+                    self._count(tally, i, sampler, run, valid, without)
         return tally
 
     def _outside(self, drawn: Scenarios) -> BoolArray:
@@ -174,9 +189,10 @@ class ChunkJob:
         return outside
 
     def _count(
-        self, tally: Tally, i: int, over: Takeover, run: Run | None, valid: BoolArray, without: BoolArray | None
+        self, tally: Tally, i: int, sampler: PathSampler, run: Run | None, valid: BoolArray, without: BoolArray | None
     ) -> BoolArray:
         """Count design i, `run` is None for no control; which events (e, n) happened."""
+        over = sampler.over
         drawn, status = over.scenarios, np.full(over.scenarios.n, EventStatus.NEVER_TRIGGERED, dtype=np.int64)
         measured = {name: getattr(over.recorded, name).copy() for name in ("deepest", "dtle", "opposite_crossing")}
         if run is not None:
@@ -187,7 +203,12 @@ class ChunkJob:
         depth, dtle, opposite = measured.values()
         if any(np.isnan(column[valid]).any() for column in measured.values()):
             raise LdcError(self.designs[i].label, "a depth is not a number")
+        values = sampler.recorded if run is None else sampler.values(run)
+        users = {metric.name: column for metric, column in zip(self._metrics, values, strict=True)}
+        if wrong := [name for name, column in users.items() if np.isnan(column[valid]).any()]:
+            raise LdcError(self.designs[i].label, f"metric {wrong[0]} is not a number")
         beyond = [*(depth > x for x in self.depths), *(dtle < x for x in self.dtle_limits)]
+        beyond += [limit.met(users[limit.metric.of[0]]) for limit in self.limits]
         events = np.stack([*beyond, opposite > 0.0, status == EventStatus.DIVERGED]) & valid
         outside = self._outside(drawn)
         for j, side in enumerate((LEFT, RIGHT)):

@@ -18,12 +18,13 @@ from ldctoolkit.arrays import IntArray
 from ldctoolkit.control import EventStatus, LinearLaw, SteeringLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import declared_law, raised
-from ldctoolkit.metrics import METRIC_UNITS
+from ldctoolkit.metrics import METRIC_UNITS, UserMetric
 from ldctoolkit.registry import controller_class
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
+from ldctoolkit.simulation.sampled_paths import PathSampler
 from ldctoolkit.vehicle import Convention
 
 from ..design import NO_CONTROL, Design
@@ -40,6 +41,7 @@ class Job:
     window: Window
     laws: bytes = b""  # controller classes that no installed package offers; empty where there are none
     time_limit: float = 0.0  # [s]: of one task; 0 for none
+    metrics: bytes | tuple[UserMetric, ...] = ()  # of a designer; pickled for another process
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -52,6 +54,7 @@ class Done:
 
 
 _SCORES = 2  # first columns of a result: S and S_uncorrected
+_TOOLKIT = _SCORES + len(METRIC_UNITS)  # columns before those of designers' metrics
 _TAKEOVERS = 8  # of a simulator
 _JOBS = 2  # of a process
 
@@ -64,6 +67,10 @@ class Simulator:
 
     def __init__(self, job: Job) -> None:
         self.job = job
+        self._metrics: tuple[UserMetric, ...] = (
+            unpickled(job.metrics) if isinstance(job.metrics, bytes) else job.metrics
+        )
+        self._samplers: dict[int, PathSampler] = {}
         self._takeovers: OrderedDict[tuple[float, bytes], Takeover] = OrderedDict()
 
     def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
@@ -76,23 +83,36 @@ class Simulator:
         self._takeovers.move_to_end(key)
         return self._takeovers[key]
 
+    def _sampler(self, takeover: Takeover) -> PathSampler | None:
+        """What measures the metrics of designers, kept as long as its takeover; None where there are none."""
+        if not self._metrics:
+            return None
+        kept = {id(over): over for over in self._takeovers.values()}
+        self._samplers = {key: sampler for key, sampler in self._samplers.items() if key in kept}
+        if id(takeover) not in self._samplers:
+            self._samplers[id(takeover)] = PathSampler(takeover, self._metrics)
+        return self._samplers[id(takeover)]
+
     def run(self, task: Task) -> Done:
         """Every design of a task; one whose law raises, or gives what no law may give, has failed."""
         started = time.perf_counter()
-        room = _Room(task)
+        room = _Room(task, len(self._metrics))
         reasons: dict[int, str] = {}
-        # stretches of designs with the same threshold
-        ends = [i for i in range(1, len(task.designs)) if task.designs[i].y_s != task.designs[i - 1].y_s]
+        # stretches of designs with the same threshold; each alone where its paths are kept
+        alone, designs = bool(self._metrics), task.designs
+        ends = [i for i in range(1, len(designs)) if alone or designs[i].y_s != designs[i - 1].y_s]
         for first, last in itertools.pairwise([0, *ends, len(task.designs)]):
             # what this raises is no fault of a law
             takeover = self.takeover(task.designs[first].y_s, task.scenarios)
-            runs = drive_each(task.designs[first:last], takeover, self.job.setup.convention)
+            sampler = self._sampler(takeover)
+            group = task.designs[first:last]
+            runs = drive_each(group, takeover, self.job.setup.convention, paths=sampler is not None)
             for i, run in zip(range(first, last), runs, strict=True):
                 if isinstance(run, str):
                     reasons[i] = run
                     continue
                 try:
-                    room.put(i, run)
+                    room.put(i, run, sampler)
                 except LdcError as error:
                     reasons[i] = raised(error)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
@@ -102,35 +122,37 @@ class Simulator:
 
     def uncontrolled(self, task: Task, status: EventStatus) -> TaskResult:
         """The recorded paths with a status, as what counts where a law could not be run; no law's code is called."""
-        room = _Room(task)
+        room = _Room(task, len(self._metrics))
         for i, design in enumerate(task.designs):
             takeover = self.takeover(design.y_s, task.scenarios)
-            room.put(i, recorded_run(takeover))
+            room.put(i, recorded_run(takeover), self._sampler(takeover))
             room.status[i, takeover.rows] = status
         return room.result()
 
 
-def drive_each(designs: Sequence[Design], takeover: Takeover, convention: Convention) -> list[Run | str]:
+def drive_each(
+    designs: Sequence[Design], takeover: Takeover, convention: Convention, *, paths: bool = False
+) -> list[Run | str]:
     """Drive designs of one threshold in one go over the scenarios; in place of a run the error that its law raised."""
     try:
-        return list(drive_many([design.controller(convention) for design in designs], takeover, threads=1))
+        return list(drive_many([design.controller(convention) for design in designs], takeover, paths=paths, threads=1))
     except (KeyboardInterrupt, GeneratorExit):  # end a study even where a law raises them
         raise
     except BaseException as error:  # a controller may be third-party code
         if len(designs) == 1:
             return [raised(error)]
         # one after the other, which tells the design that raises
-        return [run for design in designs for run in drive_each([design], takeover, convention)]
+        return [run for design in designs for run in drive_each([design], takeover, convention, paths=paths)]
 
 
 class _Room:
     """Room for the results of a task."""
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Task, metrics: int) -> None:
         self.task = task
         self.rows = task.rows.size
         k = len(task.designs)
-        self.values = np.empty((_SCORES + len(METRIC_UNITS), k, self.rows))
+        self.values = np.empty((_TOOLKIT + metrics, k, self.rows))
         self.status = np.empty((k, self.rows), dtype=np.int8)
         self.failed_solves = np.empty((k, self.rows), dtype=np.int32)
         self.law_seconds = np.zeros(k)
@@ -140,7 +162,7 @@ class _Room:
         self._not_driven = np.zeros(0, dtype=np.int8)
         self._commands = 0
 
-    def put(self, i: int, run: Run) -> None:
+    def put(self, i: int, run: Run, sampler: PathSampler | None) -> None:
         """Results of one design."""
         over, windows = run.takeover, (self.task.job.window,)
         if over is not self._takeover:  # designs of one threshold share what they do not change
@@ -149,8 +171,10 @@ class _Room:
             # scenarios times samples that there is a command for; one that diverges counts as if driven to the end
             self._commands = int(np.sum(over.steps))
         values, rows = self.values[:, i], over.rows
-        values[:] = self._recorded
+        values[:_TOOLKIT] = self._recorded
         run.fill(values, windows)
+        if sampler is not None:
+            values[_TOOLKIT:] = sampler.values(run)
         self.status[i] = self._not_driven
         self.status[i, rows] = run.status
         if not np.isfinite(values[:_SCORES]).all():
@@ -234,12 +258,16 @@ def _simulators(cache: dict[str, Any]) -> dict[str, Simulator]:
 
 def learn(laws: bytes) -> None:
     """Make controllers known that another process has."""
-    if not laws:
-        return
+    if laws:
+        with _lock:
+            registry.learn(unpickled(laws))
+
+
+def unpickled(content: bytes) -> Any:
+    """What another process pickled by value."""
     import cloudpickle
 
-    with _lock:
-        registry.learn(cloudpickle.loads(laws))
+    return cloudpickle.loads(content)
 
 
 def load_loops(laws: Iterable[str], scenarios: Scenarios, setup: Setup, y_s: float) -> None:

@@ -127,16 +127,22 @@ def read_parquet(
 
 
 def parse_parquet(
-    path: Path, data: bytes, schema: dict[str, Any], *, finite: bool = True, optional: Sequence[dict[str, Any]] = ()
-) -> pl.DataFrame:
-    """A table from the bytes of a Parquet file, checked: columns, types, nothing missing, with `finite` all finite."""
+    path: Path, data: bytes, schema: dict[str, Any], *, finite: bool = True, optional: Sequence[dict[str, Any]] = (),
+    beside: str = "",
+) -> pl.DataFrame:  # fmt: skip
+    """A table from the bytes of a Parquet file, checked: columns, types, nothing missing, with `finite` all finite.
+
+    It may have columns of numbers whose names begin with `beside`.
+    """
     import polars as pl
 
     try:
         table = pl.read_parquet(data)
     except pl.exceptions.PolarsError as error:
         raise StoreError(path, f"broken: {first_line(error)}") from None
-    if dict(table.schema) not in (schema, *(schema | columns for columns in optional)):
+    free = {name for name, kind in table.schema.items() if beside and name.startswith(beside) and kind == pl.Float64()}
+    there = {name: kind for name, kind in table.schema.items() if name not in free}
+    if there not in (schema, *(schema | columns for columns in optional)):
         raise StoreError(
             path, f"broken: its columns are {', '.join(table.columns)}", hint=f"needed: {', '.join(schema)}"
         )

@@ -22,6 +22,7 @@ from ldctoolkit.vehicle import VehicleModel
 from ldctoolkit.version import DECISIVE, versions
 
 from ..design import Design
+from ..design_space import load_laws
 from ..standards import VEHICLES
 from ..study_file import Study, load_vehicle_model
 from .checked_parts import difference_texts
@@ -279,6 +280,7 @@ class Manifest(BaseModel):
             return Study.from_dict(self._without_models(), source="study")
         if others := self.other_versions():
             raise StoreError("versions", f"the study was run with {others}", hint=_AGAIN)
+        load_laws(self.study, Path(), {})
         classes: dict[str, Any] = {name: with_content(name, content) for name, content in self.laws.items()}
         changed = [name for name, kind in classes.items() if kind is None]
         models: dict[str, VehicleModel] = {}

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.errors import LdcError, StoreError
-from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
+from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues, UserMetric
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Window
 from ldctoolkit.surroundings import free_memory
@@ -58,37 +58,45 @@ _ENDLESS = "t_back"  # the metric that may be infinite: the edge is not back ins
 _DIGITS = 16
 
 
-def float_columns(window: Window) -> tuple[str, ...]:
-    """Columns of a part in the order of `TaskResult.values`."""
-    return f"S_{window}_m_s", f"S_uncorrected_{window}_m_s", *METRIC_COLUMNS.values()
+_USER: Final = "metric:"  # how columns of designers' metrics begin
 
 
-def schema(window: Window) -> dict[str, Any]:
+def float_columns(window: Window, metrics: Sequence[UserMetric] = ()) -> tuple[str, ...]:
+    """Columns of a part in the order of `TaskResult.values`; a designer's metric is known by its content."""
+    users = (f"{_USER}{metric.name}:{metric.code}" for metric in metrics)
+    return f"S_{window}_m_s", f"S_uncorrected_{window}_m_s", *METRIC_COLUMNS.values(), *users
+
+
+def schema(window: Window, metrics: Sequence[UserMetric] = ()) -> dict[str, Any]:
     """Columns of a part and their types."""
     import polars as pl
 
     return {
         "design": pl.String(),
         "scenario": pl.UInt32(),
-        **dict.fromkeys(float_columns(window), pl.Float64()),
+        **dict.fromkeys(float_columns(window, metrics), pl.Float64()),
         "status": pl.Int8(),
         "failed_solves": pl.Int32(),
     }
 
 
-def write_results(folder: Path, results: Sequence[TaskResult], window: Window, numbers: IntArray) -> Path:
+def write_results(
+    folder: Path, results: Sequence[TaskResult], window: Window, numbers: IntArray, metrics: Sequence[UserMetric] = ()
+) -> Path:
     """Write results as one part; the same results in the same order make the same file.
 
     It holds the numbers (n,) of its scenarios, which other scenarios added later do not change.
     """
     content = io.BytesIO()
     # nearly all columns are noise to a compressor: a fast one loses little
-    _results_frame(results, window, numbers).write_parquet(content, compression="lz4", statistics=False)
+    _results_frame(results, window, numbers, metrics).write_parquet(content, compression="lz4", statistics=False)
     what = json.dumps([[result.ids, numbers[result.rows[[0, -1]]].tolist()] for result in results])
     return write_part(folder, hashlib.sha256(what.encode()).hexdigest()[:_DIGITS], content.getvalue(), "parquet")
 
 
-def _results_frame(results: Sequence[TaskResult], window: Window, numbers: IntArray) -> pl.DataFrame:
+def _results_frame(
+    results: Sequence[TaskResult], window: Window, numbers: IntArray, metrics: Sequence[UserMetric]
+) -> pl.DataFrame:
     import polars as pl
 
     ids = pl.Series("design", [id for result in results for id in result.ids], dtype=pl.String())
@@ -100,26 +108,33 @@ def _results_frame(results: Sequence[TaskResult], window: Window, numbers: IntAr
             [np.tile(numbers[result.rows].astype(np.uint32), len(result.ids)) for result in results]
         ),
     }
-    for i, column in enumerate(float_columns(window)):
+    for i, column in enumerate(float_columns(window, metrics)):
         columns[column] = np.concatenate([result.values[i].ravel() for result in results])
     columns["status"] = np.concatenate([result.status.ravel() for result in results])
     columns["failed_solves"] = np.concatenate([result.failed_solves.ravel() for result in results])
-    return pl.DataFrame(columns, schema=schema(window))
+    return pl.DataFrame(columns, schema=schema(window, metrics))
 
 
-def parse_part(path: Path, data: bytes, window: Window, numbers: IntArray) -> Iterator[TaskResult]:
-    """Results that a part holds of scenarios with these numbers, one design and stretch of scenarios at a time."""
+def parse_part(
+    path: Path, data: bytes, window: Window, numbers: IntArray, metrics: Sequence[UserMetric] = ()
+) -> Iterator[TaskResult]:
+    """Results that a part holds of scenarios with these numbers, one design and stretch of scenarios at a time.
+
+    None of a part without the column of one of the designer's metrics: its designs have to run again.
+    """
     import polars as pl
 
     order = np.argsort(numbers, kind="stable")
-    table = parse_parquet(path, data, schema(window), finite=False)
+    table = parse_parquet(path, data, schema(window), finite=False, beside=_USER)
+    columns = float_columns(window, metrics)
+    if not set(columns) <= set(table.columns):
+        return
     position = np.searchsorted(numbers[order], table["scenario"].to_numpy()).clip(0, numbers.size - 1)
     is_known = numbers[order[position]] == table["scenario"].to_numpy()
     if not is_known.all():  # of a run on more scenarios
         table, position = table.filter(pl.Series(is_known)), position[is_known]
     status, failed = table["status"].to_numpy(), table["failed_solves"].to_numpy()
-    columns = float_columns(window)
-    for column in columns:
+    for column in float_columns(window):
         good = table[column].is_not_nan() if column == METRIC_COLUMNS[_ENDLESS] else table[column].is_finite()
         if not good.all() and not good.to_numpy()[status != EventStatus.INVALID].all():
             raise StoreError(path, f"broken: column {column} holds a value that is not finite")
@@ -213,7 +228,7 @@ def check_room(study: Study, n: int) -> None:
     """Raise `LdcError` where the table of a study on n scenarios is larger than the memory that is free."""
     designs = study.search.trials if study.search else len(study.designs)
     free = free_memory()
-    if (size := designs * n * (8 * (1 + len(METRIC_UNITS)) + 6)) > free:
+    if (size := designs * n * (8 * (1 + len(METRIC_UNITS) + len(study.metrics)) + 6)) > free:
         what = f"{designs:,} designs on {n:,} scenarios need {size / 2**30:,.1f} GiB of memory"
         raise LdcError(problem=f"{what}, {free / 2**30:,.1f} are free", allowed="fewer designs or scenarios")
 
@@ -239,7 +254,7 @@ class RunTable:
         before = len(self.designs)
         fresh: dict[str, Any] = {
             "_S": np.empty(shape),
-            "_metrics": (_mapped if self._mapped else np.empty)((len(METRIC_UNITS), *shape)),
+            "_metrics": (_mapped if self._mapped else np.empty)((len(METRIC_UNITS) + len(self._study.metrics), *shape)),
             "_status": np.empty(shape, dtype=np.int8),
             # zeros take no memory until something else is written
             "_failed_solves": np.zeros(shape, dtype=np.int32),
@@ -354,7 +369,11 @@ class RunTable:
             S=of_designs(self._S),
             S_uncorrected=self._uncorrected.take(None if whole else rows),
             status=of_designs(self._status),
-            metrics=MetricValues(*(of_designs(values) for values in self._metrics)),
+            metrics=MetricValues(*(of_designs(values) for values in self._metrics[: len(METRIC_UNITS)])),
+            user_metrics={
+                metric.name: of_designs(values)
+                for metric, values in zip(self._study.metrics, self._metrics[len(METRIC_UNITS) :], strict=True)
+            },
             failed_solves=of_designs(self._failed_solves),
             law_time=np.array([np.nan if time is None else time.per_command for time in known]),
             failed=failed,

@@ -96,6 +96,12 @@ class Store:
                 for name, content in manifest.laws.items()
                 if former.laws.get(name, content) != content
             ]
+            codes = {metric["name"]: metric["code"] for metric in former.study.get("metrics", ())}
+            notices += [
+                f"the code of metric {metric.name!r} has changed since the last run: all designs are run again"
+                for metric in study.metrics
+                if codes.get(metric.name, metric.code) != metric.code
+            ]
             name = study.vehicle_model
             was, now = (m.vehicle_models.get(name, ("", ""))[1] for m in (former, manifest))
             if (others := former.other_versions()) or was != now:
@@ -139,7 +145,8 @@ class Store:
     def add(self, results: Sequence[TaskResult], failed: Sequence[FailedRun] = ()) -> None:
         """Store finished runs as one part, the times of their laws, and why others failed."""
         if results:
-            write_results(self.folder / "results", results, self.study.simulation.window, self.scenarios.index)
+            window, metrics = self.study.simulation.window, self.study.metrics
+            write_results(self.folder / "results", results, window, self.scenarios.index, metrics)
             for result in results:
                 for id, seconds, commands in zip(result.ids, result.law_seconds, result.commands, strict=True):
                     self.times[id] = self.times.get(id, LawTime(0.0, 0)) + LawTime(float(seconds), int(commands))
@@ -162,9 +169,8 @@ class Store:
         messages = []
         for path, content in prefetched(read_part, sorted((self.folder / "results").glob(PATTERN))):
             try:
-                for result in list(
-                    parse_part(path, content.result(), self.study.simulation.window, self.scenarios.index)
-                ):
+                window, numbers = self.study.simulation.window, self.scenarios.index
+                for result in list(parse_part(path, content.result(), window, numbers, self.study.metrics)):
                     table.put(result)
                 table.release()
             except StoreError as error:

@@ -6,24 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.closed_loop import ZOO
 from helpers.errors import refused
-from ldctoolkit import (
-    BicycleModel,
-    Plant,
-    Scenarios,
-    controller_class,
-    controller_names,
-    controllers,
-    register,
-    simulate,
-)
+from ldctoolkit import BicycleModel, Plant, Scenarios, controller_class, controllers, register, simulate
 from ldctoolkit.control import Controller, EventStatus, SteeringLaw
 from ldctoolkit.controllers import PID, PurePursuit, SlidingMode, Stanley
 from ldctoolkit.errors import InputError
 from ldctoolkit.studies import Study
 from ldctoolkit.testing import CHECKS, ContractSettings, contract_faults
-
-ZOO = [name for name in controller_names() if controller_class(name).__module__.startswith("ldctoolkit.controllers.")]
 
 ITERATIVE = {"linear_mpc", "nonlinear_mpc"}
 """Laws with a solver: mirrored to 1e-9 of the largest command; all others to the bit."""

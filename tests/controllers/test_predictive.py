@@ -69,6 +69,7 @@ class Towed(PredictiveController):
     """States of its own: the wheels behind a motor, and a wind that is estimated to fade."""
 
     name, title = "towed", "MPC behind a motor"
+    symmetric = True
     states = ("wheel", "wind")
     horizon: int = horizon_gain()
     tau: float = ldc.gain(0.1, unit="s", lower=0.01, upper=1.0, description="time constant of the motor")
@@ -95,6 +96,7 @@ class Quadratic(PredictiveController):
     """Linear dynamics, a quadratic cost, limits that 0 switches off: as `linear_mpc`."""
 
     name, title = "quadratic", "Linear-quadratic MPC"
+    symmetric = True
     horizon: int = horizon_gain()
     r: float = ldc.gain(100.0, unit="1/rad^2", lower=1e-3, upper=1e6, description="weight on steering")
     angle_max: float = ldc.gain(0.1, unit="rad", lower=0.0, upper=1.0, description="limit of the steering angle")
@@ -157,6 +159,13 @@ def test_a_formulation_keeps_the_contract_of_all_laws(law: Any, check: str) -> N
     assert not [str(fault) for fault in contract_faults(law, checks=[check], settings=settings)]
 
 
+def test_a_formulation_may_treat_the_crossed_line_in_another_way() -> None:
+    """The class of the documentation in its own horizon; what says to be symmetric is checked."""
+    assert not contract_faults(Corridor(horizon=20), checks=["mirror", "quiet"])
+    (fault,) = contract_faults(variant(Corridor, symmetric=True)(horizon=20), checks="mirror")
+    assert fault.check == "mirror"
+
+
 REALISTIC = PlantOptions(
     speed="profile", actuator=Actuator(delta_max=0.2, rate_max=0.6, lag=0.08, delay=0.05),
     mismatch=Mismatch(m=(0.9, 1.1)), tyres=Tyres(model="magic_formula"), residuals=Residuals(y=True, v=True),
@@ -164,7 +173,7 @@ REALISTIC = PlantOptions(
 )  # fmt: skip
 
 SWEPT = {"corridor": "r", "towed": "tau", "quadratic": "angle_max"}
-VALUES = {"r": [5e3, 1e4, 2e4], "tau": [0.08, 0.1, 0.15], "angle_max": [0.005, 0.01, 0.02]}
+VALUES = {"r": [5e3, 1e4, 2e4], "tau": [0.08, 0.1, 0.15], "angle_max": [0.01, 0.015, 0.02]}
 
 
 def study_of(*names: str, **counts: int) -> ldc.Study:
@@ -615,6 +624,9 @@ def test_a_few_iterations_a_sample_come_to_the_same_plan() -> None:
     prev = np.clip(prev, -0.02, 0.02)
     exact = Trend().prepare(plant)
     wanted = exact.step(np.zeros(n), x, preview, prev, exact.init(n))[1].U
+    until_converged = variant(Trend, name="until_converged", iterations=0)().prepare(plant)
+    same = until_converged.step(np.zeros(n), x, preview, prev, until_converged.init(n))[1].U
+    np.testing.assert_array_equal(same, wanted)  # the default is the word
     for iterations in (1, 2, 3):
         law = variant(Trend, name=f"few_{iterations}", iterations=iterations)().prepare(plant)
         state, errors = law.init(n), []
@@ -693,6 +705,7 @@ def towing(**members: Any) -> dict[str, Any]:
     return {"states": ("hitch",), **moved_by(hitch=lambda x, u, vehicle: -x.hitch)} | members
 
 
+SMOOTH = "write ca.sqrt(x**2 + 1e-6) for abs(x)"
 NO_TERMINAL = "let the cost weigh x.e_y and u.delta or u.change near straight driving, or define terminal()"
 
 FAULTS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
@@ -726,16 +739,48 @@ FAULTS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "an end that is no number": (hard(lambda x, u, k: [(u.delta, -1.0, np.nan)]), "stage.hard[0][2]", {}),
     "infeasible limits": (
         hard(lambda x, u, k: [(u.delta, 0.1, 0.2), (u.delta, -0.2, 0.0)]), "stage.hard",
-        {"value": "0.1 to 0 rad at k = 0", "allowed": "limits of u.delta, low <= high"},
+        {"value": "0.1 to 0 rad at k = 0", "allowed": "limits of u.delta, low <= 0 <= high"},
+    ),
+    "no straight driving": (
+        hard(lambda x, u, k: [(u.delta, 0.01, 0.1)]), "stage.hard", {"value": "0.01 to 0.1 rad at k = 0"},
     ),
     "infeasible later": (
         hard(lambda x, u, k: [(u.change, -0.1, 0.1 - 0.05 * k)]), "stage.hard",
-        {"value": "-0.1 to -0.15 rad at k = 5", "allowed": "limits of u.change, low <= high"},
+        {"value": "-0.1 to -0.05 rad at k = 3", "allowed": "limits of u.change, low <= 0 <= high"},
     ),
-    "crossed soft limits": (soft(lambda x, u, lane, k: [Soft(x.e_y, 1.0, -1.0)]), "stage.soft", {}),
-    "a weight of 0": (soft(lambda x, u, lane, k: [Soft(x.e_y, -1.0, 1.0, weight=0.0)]), "stage.soft", {}),
+    "crossed soft limits": (
+        soft(lambda x, u, lane, k: [Soft(x.a_y, upper=x.e_y), Soft(x.e_y, 1.0, -1.0)]), "stage.soft[1]",
+        {"value": "1 to -1 at k = 1", "allowed": "lower <= upper"},
+    ),
+    "a weight of 0": (
+        soft(lambda x, u, lane, k: [Soft(x.e_y, -1.0, 1.0), Soft(x.jerk, -1.0, 1.0, weight=0.0)]),
+        "stage.soft[1].weight", {"value": "0 at k = 0", "allowed": "a number > 0"},
+    ),
     "a weight of 0 in the middle": (
-        soft(lambda x, u, lane, k: [Soft(x.e_y, -1.0, 1.0, weight=(k - 2) ** 2)]), "stage.soft", {},
+        soft(lambda x, u, lane, k: [Soft(x.e_y, -1.0, 1.0, weight=(k - 2) ** 2)]), "stage.soft[0].weight",
+        {"value": "0 at k = 2"},
+    ),
+    "a soft limit without an end": (soft(lambda x, u, lane, k: [Soft(x.a_y)]), "stage.soft[0]", {}),
+    "a soft limit without an end, in words": (
+        soft(lambda x, u, lane, k: [Soft(x.a_y, None, 1.0), Soft(x.jerk, None, None)]), "stage.soft[1]", {},
+    ),
+    "an absolute value": (staged(lambda s, x, u, lane, k: abs(x.e_psi) + cost(x, u)), "stage.cost", {"hint": SMOOTH}),
+    "a root of a square": (
+        staged(lambda s, x, u, lane, k: 1e-3 * ca.sqrt(x.e_y**2) + cost(x, u)), "stage.cost", {"hint": SMOOTH},
+    ),
+    "a kink later": (
+        staged(lambda s, x, u, lane, k: ca.if_else(k > 3, ca.fmax(u.change, 0.0), 0.0) + cost(x, u)), "stage.cost", {},
+    ),
+    "a kink at the end": (
+        {"terminal": lambda self, x, lane: x.e_y**2 + ca.fabs(x.e_psi)}, "terminal", {"hint": SMOOTH},
+    ),
+    "another signature": (
+        {"stage": lambda self, x, u, lane: Stage(cost(x, u))}, "stage",
+        {"hint": "its arguments are self, x, u, lane, k"},
+    ),
+    "a rate of the command": (
+        staged(lambda s, x, u, lane, k: u.rate**2), "u.rate",
+        {"kind": UnknownNameError, "hint": "the rate of a command is u.change / lane.dt"},
     ),
     "a weight of the state": (
         soft(lambda x, u, lane, k: [Soft(x.e_y, -1.0, 1.0, weight=x.e_y)]), "stage.soft[0].weight", {},
@@ -745,7 +790,9 @@ FAULTS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "a state twice": ({"states": ("hitch", "hitch")}, "states", {"value": "hitch"}),
     "a state of the vehicle": ({"states": ("e_psi",)}, "states", {"value": "e_psi"}),
     "states in a text": ({"states": "hitch"}, "states", {"value": "hitch", "allowed": "a tuple of names"}),
-    "no rate of a state": ({"states": ("hitch",)}, "dynamics['hitch']", {}),
+    "no rate of a state": (
+        {"states": ("hitch",)}, "dynamics['hitch']", {"allowed": "rates of e_y, e_y_rate, e_psi, e_psi_rate, hitch"},
+    ),
     "no rate of the vehicle's": (moved_by(e_psi=None), "dynamics['e_psi']", {}),
     "a rate of no state": (
         moved_by(hitch=lambda x, u, vehicle: 0.0), "dynamics.hitch", {"kind": UnknownNameError},
@@ -767,6 +814,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "a horizon too long": ({"horizon": 9000}, "horizon", {"value": 9000}),
     "moves below 0": ({"move_blocks": -1}, "move_blocks", {"value": -1}),
     "iterations in words": ({"iterations": "many"}, "iterations", {"value": "many"}),
+    "moves in words": ({"move_blocks": "converged"}, "move_blocks", {"value": "converged"}),
     "another integrator": ({"integrator": "euler"}, "integrator", {"value": "euler", "allowed": {"rk4"}}),
     "another Hessian": ({"hessian": "bfgs"}, "hessian", {"value": "bfgs", "allowed": {"exact", "gauss_newton"}}),
 }  # fmt: skip
@@ -783,8 +831,34 @@ def test_a_fault_of_a_formulation_is_one_sentence(fault: str) -> None:
         walk(law().prepare(plant_of(3)), 3, steps=1)
 
 
+def test_smooth_costs_and_open_ends_are_taken() -> None:
+    """Kinks of the slope alone, a rate of the command, the speed: the same commands as with the numbers written out."""
+    v = 20.0
+
+    def law(change: Any, low: Any, high: Any, speed: Any) -> Any:
+        def stage(self: Any, x: Any, u: Any, lane: Any, k: Any) -> Stage:
+            smooth = ca.sqrt(x.e_y**2 + 1e-6) + ca.fmax(x.e_y, 0.0) ** 2
+            soft = [Soft(x.a_y, low, 2.0 - speed(lane) ** 2 * lane.curvature)]
+            return Stage(smooth + cost(x, u), [(u.delta, low, 0.03), (change(u, lane), -0.1, high)], soft)
+
+        return variant(PredictiveController, name="open", title="T", horizon=6, stage=stage)
+
+    plant = Plant.build(BicycleModel(), np.full(5, v), DT)
+    laws = (
+        law(lambda u, lane: u.change / lane.dt, None, None, lambda lane: lane.v),
+        law(lambda u, lane: -u.change / -DT, -np.inf, np.inf, lambda lane: v),
+    )
+    walks = (walk(law().prepare(plant), 5) for law in laws)
+    for (delta, status, _), (expected, _, _) in zip(*walks, strict=True):
+        np.testing.assert_allclose(delta, expected, atol=1e-9)
+        assert (status != EventStatus.SOLVER_FAILED).all()
+
+
 def test_a_class_that_is_no_design_is_refused() -> None:
     stage = staged(lambda s, x, u, *_: cost(x, u))
+    for name, meant in (("itertions", "iterations"), ("dynamic", "dynamics"), ("move_block", "move_blocks")):
+        with refused(f"PredictiveController.{name}", hint=f"did you mean {meant!r}?"):
+            variant(PredictiveController, name="plain", title="T", horizon=6, **stage, **{name: 2})()
     plain = type("Plain", (PredictiveController,), {"name": "plain", "title": "T", "horizon": 6, **stage})
     with refused("Plain"):
         plain().prepare(plant_of(1))

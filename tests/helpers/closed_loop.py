@@ -22,6 +22,8 @@ from ldctoolkit import (
     Scenarios,
     Setup,
     SteeringLaw,
+    controller_class,
+    controller_names,
     register,
     registry,
 )
@@ -32,6 +34,7 @@ from ldctoolkit.simulation import Run, Takeover
 
 frozen = dataclasses.dataclass(frozen=True)
 
+ZOO = [name for name in controller_names() if controller_class(name).__module__.startswith("ldctoolkit.controllers.")]
 METRICS = tuple(METRIC_UNITS)  # names of what a run measures for each scenario beside S
 
 

@@ -73,6 +73,12 @@ def _study(path: Path) -> None:
     path.write_text(STUDY, encoding="utf-8")
 
 
+def _sheet(path: Path) -> None:
+    path.write_text(
+        "mass = 1650.0\nfront_load = 910.0\nwheelbase = 2.8\nundersteer_gradient = 0.003\n", encoding="utf-8"
+    )
+
+
 def _results(path: Path) -> None:
     study = path.with_name("stand-in.toml")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -84,8 +90,9 @@ STAND_INS: dict[str, Callable[[Path], object]] = {
     "drive.csv.gz": _recording, "recordings.csv.gz": _recording, "drive.csv": _recording, "logs": _logs,
     "trip.mf4": mdf.write_log, "map.toml": lambda path: path.write_text(mdf.MAP, encoding="utf-8"), "spmd": _spmd,
     "UAH-DRIVESET-v1": _uah, "departures.parquet": _departures,
-    "d.parquet": _departures, "m.json": _model, "out/spmd/model.json": _model, "my.toml": _study, "out": _results,
-    "out/my": _results, "out/my-study": _results, "out/trigger-and-gains": _results, "reference": _results,
+    "d.parquet": _departures, "m.json": _model, "out/spmd/model.json": _model, "my.toml": _study, "car.toml": _sheet,
+    "out": _results, "out/my": _results, "out/my-study": _results, "out/trigger-and-gains": _results,
+    "reference": _results,
 }  # fmt: skip
 """What stands for a file that a page takes for granted."""
 

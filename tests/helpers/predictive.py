@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
 
 from ldctoolkit import PredictiveController, Soft, Stage, gain
@@ -62,6 +63,16 @@ class Three(Corridor):
     name, iterations = "three", 3
 
 
+class Fading(Corridor):
+    """A soft limit that costs nothing in sharp bends."""
+
+    name, horizon = "fading", 8
+
+    def stage(self, x: Any, u: Any, lane: Any, k: Any) -> Stage:
+        weight = 100.0 * ca.fmax(0.0, 1.0 - (500.0 * lane.curvature) ** 2)
+        return dataclasses.replace(super().stage(x, u, lane, k), soft=[Soft(x.e_y, upper=lane.offset, weight=weight)])
+
+
 @frozen
 class Slow(PredictiveController):
     """Two states of its own, the command before among the terms."""
@@ -108,3 +119,13 @@ class Quadratic(PredictiveController):
     def stage(self, x: Any, u: Any, lane: Any, k: Any) -> Stage:
         cost = x.e_y**2 + (x.e_psi - lane.steady_e_psi) ** 2 + self.r * (u.delta - lane.steady_delta) ** 2
         return Stage(cost, hard=hard(u))
+
+
+class Rooted(Quadratic):
+    """A limit that is no number in sharp bends."""
+
+    name, horizon = "rooted", 8
+
+    def stage(self, x: Any, u: Any, lane: Any, k: Any) -> Stage:
+        limits = [(u.delta, -HARD[0], 3.0 * ca.sqrt(0.002 - lane.curvature)), (u.change, -HARD[1], HARD[1])]
+        return dataclasses.replace(super().stage(x, u, lane, k), hard=limits)

@@ -24,6 +24,7 @@ SENTENCES = [
         {"path": "design", "value": "lq", "allowed": [f"law{i}" for i in range(99)], "listing": "ldc controllers"},
         "design: 'lq'; allowed: ldc controllers",
     ),
+    ({"path": "lane.width", "allowed": ("dt", "offset")}, "lane.width: allowed: dt, offset"),  # far from both
     ({"path": "a.csv: line 3", "problem": "is cut short"}, "a.csv: line 3: is cut short"),
     ({"path": "X", "value": math.nan, "problem": "in row 3", "hint": "drop it"}, "X: nan in row 3; drop it"),
     ({"problem": "no design has results"}, "no design has results"),

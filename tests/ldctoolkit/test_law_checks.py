@@ -73,6 +73,7 @@ TEXT = "a non-empty string, ClassVar[str]"
         (named(title="T"), "Named.name", {"value": None, "allowed": TEXT}),
         (named(name="idle"), "Named.title", {"value": None, "allowed": TEXT}),
         (named(name="", title="T"), "Named.name", {"value": "", "allowed": TEXT}),
+        (named(name="idle", title="T", bach=20), "Named.bach", {"hint": "did you mean 'batch'?"}),
         (named(name="idle", title=3), "Named.title", {"value": 3, "allowed": TEXT}),
         (NameIsAField, "NameIsAField.name",
          {"problem": "a field of the dataclass", "hint": "write name: ClassVar[str] = ..."}),
@@ -92,6 +93,8 @@ def test_a_subclass_without_fields_of_its_own_needs_no_decorator() -> None:
         name = "renamed"
 
     assert check_controller(Renamed(q_y=2.0)).name == "renamed"
+    kind = named(name="idle", title="T", names=("a",), prepared=len, weights=(1.0,))  # resemble what it has, or nothing
+    assert check_controller(kind()).names == ("a",)  # type: ignore[attr-defined]
 
 
 def test_no_prepare() -> None:

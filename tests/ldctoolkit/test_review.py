@@ -10,6 +10,7 @@ import control
 import numpy as np
 import pytest
 
+from helpers.closed_loop import ZOO
 from helpers.errors import refused
 from ldctoolkit import (
     BicycleModel,
@@ -21,7 +22,6 @@ from ldctoolkit import (
     Preview,
     SteeringLaw,
     controller_class,
-    controller_names,
     gain,
     option,
 )
@@ -435,9 +435,9 @@ def test_the_pages_table_is_that_of_the_thresholds() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", controller_names())
-def test_every_known_law_can_be_reviewed(name: str) -> None:
-    """The zoo by default gains: numbers, and no loop that is unstable on the ideal plant."""
+@pytest.mark.parametrize("name", ZOO)
+def test_every_law_can_be_reviewed(name: str) -> None:
+    """By default gains: numbers, and no loop that is unstable on the ideal plant."""
     result = review(controller_class(name)(), speeds=FEW)
     if result.loop is None:
         return

@@ -163,6 +163,7 @@ def law(how: str, fields: Any = FIELDS, **space: Any) -> type[Controller]:
 
 def test_a_law_that_keeps_the_contract() -> None:
     check_controller_contract(law("well"), [law("well")(K=-0.05, K_i=0.0)], checks=IN_PROCESS)
+    check_controller_contract(law("one-sided", symmetric=False), checks=IN_PROCESS)
 
 
 @pytest.mark.parametrize(
@@ -187,7 +188,7 @@ def test_a_law_that_keeps_the_contract() -> None:
         ("bias", "mirror", r"the command is \S+ rad and \S+ rad on the mirrored road, at sample 0 of .*", ("quiet",)),
         ("bias", "quiet", r"the command is 1e-06 rad at sample 0 on a straight, centred road; allowed: 0", ("mirror",)),
         ("unsolved", "quiet", r"\d+ commands on a straight, centred road have the status SOLVER_FAILED; .*", ()),
-        ("one-sided", "mirror", r".*; allowed: the negative to \S+ rad", ()),
+        ("one-sided", "mirror", r".*; allowed: the negative to \S+ rad; .*: symmetric = False in its class", ()),
         ("not finite far out", "finite", r"the command is nan at 1 m/s, x = \(-20, -15, -1\.5, -3\), .*", ()),
         ("no limit of the angle", "limits", r"the command goes from .*; allowed by delta_max = 0\.1: \S+ rad less", ()),
         ("no limit of the rate", "limits", r"the command goes from .*; allowed by rate_max = 0\.2: \S+ rad less", ()),

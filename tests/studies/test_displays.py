@@ -74,6 +74,13 @@ def test_ranking(ranking: Ranking) -> None:
     assert "and 4 more" in text
     assert "winner" in rows[0][-1]
     assert "baseline" in rows[-1][-1]
+    title, head, *lines = str(dataclasses.replace(ranking, warnings=("Few.",))).splitlines()
+    assert title.startswith("25 designs by mean S")
+    assert [line.split() for line in lines] == [
+        *([c for cell in row for c in cell.replace(" to ", "..").split()] for row in rows),
+        ["Warning:", "Few."],
+    ]
+    assert head.index("Verdict") == lines[0].index("winner") == lines[-2].index("baseline")
 
 
 def test_numbers_have_true_minus_signs_and_do_not_break(ranking: Ranking) -> None:

@@ -202,9 +202,10 @@ def score_limits(setting, w):
 
 @numba.njit(**OPTIONS)
 def record(paths, w, l, t, a_y):
-    """Append the present state, steering angle and lateral acceleration to the path of a scenario."""
+    """Append the present state, steering angle, lateral acceleration and command to the path of a scenario."""
     c, n = int(w[data.PATH_ROW + l]), int(w[data.PATH_ENTRIES + l])
     paths[c, n, data.P_TIME], paths[c, n, data.P_DELTA], paths[c, n, data.P_A_Y] = t, w[data.WHEEL + l], a_y
+    paths[c, n, data.P_COMMAND] = w[data.COMMAND + l]
     for j in range(4):
         paths[c, n, data.P_X + j] = w[data.NEXT_E_Y + j * L + l]
     w[data.PATH_ENTRIES + l] = n + 1
@@ -212,9 +213,9 @@ def record(paths, w, l, t, a_y):
 
 @numba.njit(**OPTIONS)
 def correct_record(paths, w, l, delta, a_y):
-    """Replace steering angle and lateral acceleration of the latest entry by those just after the new command."""
+    """Replace steering angle, lateral acceleration and command of the latest entry by those after the new command."""
     c, n = int(w[data.PATH_ROW + l]), int(w[data.PATH_ENTRIES + l]) - 1
-    paths[c, n, data.P_DELTA], paths[c, n, data.P_A_Y] = delta, a_y
+    paths[c, n, data.P_DELTA], paths[c, n, data.P_A_Y], paths[c, n, data.P_COMMAND] = delta, a_y, w[data.COMMAND + l]
 
 
 @numba.njit(**OPTIONS)

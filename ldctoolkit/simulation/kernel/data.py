@@ -55,7 +55,7 @@ GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1, MODEL_OLD, MODEL_WHEEL, FIRST, FIL
 
 SCORES: Final = 1 + len(SCENARIO_METRICS)  # the area, then the metrics of a scenario in the order of their table
 
-P_TIME, P_X, P_DELTA, P_A_Y, PATH = 0, 1, 5, 6, 7  # columns of a path's entry
+P_TIME, P_X, P_DELTA, P_A_Y, P_COMMAND, PATH = 0, 1, 5, 6, 7, 8  # columns of a path's entry
 
 # columns of a linear law, then pairs of weights of yaw rate and heading for every lookahead time, then of past commands
 LAW_F, LAW_U, LAW_I, LAW_WHEEL, LAW = 0, 4, 5, 6, 7

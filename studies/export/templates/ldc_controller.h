@@ -34,6 +34,8 @@ typedef ldc_real ldc_work;
 #define LDC_MAX_INPUT LDC_W(1000.0) /* largest magnitude of any input */
 #define LDC_MAX_CURVATURE LDC_W(1.0) /* [1/m] */
 #define LDC_PREVIEW {{ times|length }} /* points of the lane ahead */
+/* lookahead times of the lane [s] */
+#define LDC_LOOKAHEAD {{ times|join(" ") }}
 #define LDC_SENT {{ sent }} /* commands that are kept */
 #define LDC_COLUMNS {{ columns }} /* gains scheduled over speed */
 #ifndef LDC_HOLD_STEPS

@@ -502,6 +502,7 @@ static int32_t direction(ldc_state *s, double w[LDC_M])
     for (int32_t i = 0; i < LDC_SOFT; i++) {
         for (int32_t k = 0; k < {{ sqp.terms }}; k++) { s->m[output_of[i][k]] += share_of[i][k] * s->press[(2 * LDC_M) + i]; }
     }
+    for (int32_t b = 0; b < LDC_M; b++) { good = (within(w[b], FINITE) != 0) ? good : 0; }
     return (good > 0) ? result : 0;
 }
 
@@ -657,7 +658,10 @@ static ldc_work first_move(ldc_state *s, const double x[4], const double seen[],
             of[0], of[1], of[2], of[3]));
         for (int32_t k = 0; k < 4; k++) {
             s->bound[k][j] = clip(s->bound[k][j], -BOUNDLESS, BOUNDLESS);
-            for (int32_t i = 0; i < LDC_KINDS; i++) { s->soft[k][(LDC_N * i) + j] = clip(of[k][i], -BOUNDLESS, BOUNDLESS); }
+            for (int32_t i = 0; i < LDC_KINDS; i++) { /* what costs nothing is no limit */
+                const double free = (k == 0) ? -BOUNDLESS : ((k == 1) ? BOUNDLESS : 1.0);
+                s->soft[k][(LDC_N * i) + j] = (of[3][i] <= 0.0) ? free : clip(of[k][i], -BOUNDLESS, BOUNDLESS);
+            }
         }
         reach[0] += s->bound[2][j];
         reach[1] += s->bound[3][j];
@@ -667,6 +671,10 @@ static ldc_work first_move(ldc_state *s, const double x[4], const double seen[],
         s->bound[1][j] = clip(s->bound[1][j], reach[0], BOUNDLESS * 100.0);
     }
     s->has_plan = optimise(s);
+    for (int32_t j = 0; j < LDC_N; j++) {
+        s->has_plan &= within(s->now.U[j], FINITE);
+        for (int32_t k = 0; k < 4; k++) { s->has_plan &= within(s->bound[k][j], FINITE); }
+    }
     delta = s->now.U[0];
     if (s->has_plan != 0) {
         (void)memcpy(s->plan, s->now.U, sizeof(s->plan));

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +22,7 @@ from helpers.errors import refused
 from ldctoolkit import BicycleModel, VehicleParameters
 from ldctoolkit.casadi_code import Names
 from ldctoolkit.controllers._prediction_model import STATES, Vehicle
+from ldctoolkit.declared import UnitWarning
 from ldctoolkit.errors import LdcError
 from ldctoolkit.vehicle import discretize
 from ldctoolkit.vehicle.bicycle import GRAVITY
@@ -380,3 +382,82 @@ def test_some_columns_have_the_bits_of_all() -> None:
     v = np.random.default_rng(2).uniform(*SPEED_RANGE, 30)
     whole = scheduled(_Smooth(1.0), v, "values")
     np.testing.assert_array_equal(scheduled(_Smooth(1.0), v, "values", columns=slice(1, 3)), whole[:, 1:3])
+
+
+SHEET = {"mass": 1650.0, "front_load": 910.0, "wheelbase": 2.8, "understeer_gradient": 0.003}
+
+
+def sheet(**changes: Any) -> VehicleParameters:
+    return VehicleParameters.from_data_sheet(**(SHEET | changes))
+
+
+@pytest.mark.parametrize("coefficient", [None, 12.0, 25.0])
+@pytest.mark.parametrize("gradient", [-0.001, 0.0, 0.003])
+def test_a_data_sheets_vehicle_has_its_understeer_gradient(gradient: float, coefficient: float | None) -> None:
+    vehicle = sheet(understeer_gradient=gradient, rear_cornering_coefficient=coefficient)
+    assert (vehicle.m, vehicle.l_f + vehicle.l_r) == (1650.0, pytest.approx(2.8))
+    assert vehicle.m * vehicle.l_r / 2.8 == pytest.approx(910.0)  # the front axle's load
+    steady = BicycleModel(vehicle).steady_state(SPEEDS).delta
+    np.testing.assert_allclose((steady * SPEEDS - 2.8) / SPEEDS**2, gradient, atol=1e-12)
+    assert 2.0 * vehicle.C_ar == pytest.approx((coefficient or 20.0) * 740.0 * 9.81)
+    assert pytest.approx(1650.0 * vehicle.l_f * vehicle.l_r) == vehicle.I_z
+
+
+def test_what_a_data_sheet_assumes_is_said() -> None:
+    full = sheet(yaw_inertia=2800.0, rear_cornering_coefficient=18.0, steering_ratio=15.2, width=1.85, lane_width=3.5)
+    assert full.notes == VehicleParameters().notes == ()
+    assert (full.I_z, full.steering_ratio, full.w_v, full.w_l) == (2800.0, 15.2, 1.85, 3.5)
+    notes = sheet().notes
+    for note, name in zip(notes, ("I_z", "cornering stiffness", "steering_ratio", "w_v"), strict=True):
+        assert name in note
+        assert "usual" in note
+    assert dataclasses.replace(sheet(), I_z=3000.0).notes == ()
+    assert sheet() == VehicleParameters(**dataclasses.asdict(sheet()))
+    assert pickle.loads(pickle.dumps(sheet())).notes == notes
+
+
+def test_axle_loads_in_kg_and_as_shares() -> None:
+    expected = sheet()
+    for loads in (
+        {"front_load": 910.0 / 1650.0}, {"front_load": None, "rear_load": 740.0}, {"rear_load": 740.0},
+        {"front_load": None, "rear_load": 740.0 / 1650.0}, {"rear_load": 740.0 / 1650.0},
+        {"front_load": 919.1, "rear_load": 747.4},  # 1 % more, in the same proportion
+    ):  # fmt: skip
+        vehicle = sheet(**loads)
+        assert vehicle.l_f == pytest.approx(expected.l_f)
+        assert vehicle.C_af == pytest.approx(expected.C_af)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"rear_load": 760.0}, "rear_load"), ({"rear_load": 720.0}, "rear_load"), ({"rear_load": 0.43}, "rear_load"),
+        ({"front_load": None}, "front_load"), ({"front_load": 55.0}, "front_load"),
+        ({"front_load": 0.05}, "front_load"), ({"front_load": 1650.0}, "front_load"),
+        ({"front_load": 8927.0}, "front_load"), ({"front_load": -1.0}, "front_load"),
+        ({"front_load": None, "rear_load": 1.65}, "rear_load"), ({"mass": None}, "mass"), ({"mass": math.nan}, "mass"),
+        ({"mass": 1.65}, "front_load"), ({"wheelbase": "2.8"}, "wheelbase"), ({"yaw_inertia": 0.0}, "yaw_inertia"),
+        ({"understeer_gradient": None}, "understeer_gradient"), ({"width": True}, "width"),
+        ({"understeer_gradient": -0.0051}, "understeer_gradient"),
+    ],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore::ldctoolkit.declared.UnitWarning")
+def test_a_data_sheet_that_cannot_be_is_refused(changes: dict[str, Any], field: str) -> None:
+    with refused(f"data_sheet.{field}"):
+        sheet(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "meant"),
+    [
+        ({"understeer_gradient": 1.7}, "0.003025 rad/(m/s^2)"), ({"understeer_gradient": 0.17}, "0.002967 rad/(m/s^2)"),
+        ({"wheelbase": 2800.0}, "2.8 m"), ({"wheelbase": 280.0}, "2.8 m"), ({"yaw_inertia": 2.8}, "2800 kg m^2"),
+        ({"mass": 1.65, "front_load": 0.55}, "1650 kg"), ({"rear_cornering_coefficient": 0.2}, "11.46 1/rad"),
+    ],
+)  # fmt: skip
+def test_a_data_sheets_likely_slip_of_unit_gives_one_warning(changes: dict[str, Any], meant: str) -> None:
+    with pytest.warns(UnitWarning) as caught:
+        sheet(**changes)
+    assert [str(one.message).partition(":")[0] for one in caught] == [f"data_sheet.{next(iter(changes))}"]
+    assert str(caught[0].message).endswith(f" {meant}")
+    assert caught[0].filename == __file__

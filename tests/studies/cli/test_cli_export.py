@@ -5,10 +5,12 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from helpers.cli import bad, good, ldc
+from helpers.cli import bad, csv_rows, good, ldc
 from helpers.stored import rewrite_json
+from ldctoolkit import read_results
 
 FILES = {"README.md", "ldc_controller.c", "ldc_controller.h", "main.c", "test_vectors.csv"}
 
@@ -140,3 +142,44 @@ def test_parameters_alone(folder: Path) -> None:
     script = (folder / "made" / "ldc_controller.m").read_text()
     assert "ldc.law = 'lqr';\nldc.y_s_m = 0.05;\nldc.dt_s = 0.05;\nldc.q_y = 1.0;\n" in script
     assert re.search(r"\nldc\.F = \[-0\.\d+ .*\]; % a row a speed; rad/m, rad s/m", script)
+
+
+def test_the_worst_departures_for_other_simulators(folder: Path) -> None:
+    """Of the design, by its stored S; as OpenSCENARIO and as tables, in any order and by number."""
+    results = read_results(folder / "plain")
+    design = results.designs.index(next(one for one in results.designs if one.label == "LQR, y_s=0.05 m"))
+    worst = results.scenarios.index[np.argsort(-results.S[design])[:3]].tolist()
+    out = good("scenarios", "plain", "--worst", 3, cwd=folder)
+    assert out.startswith("LQR, y_s=0.05 m\n")
+    names = [f"departure-{number:06d}" for number in worst]
+    assert re.findall(r"departure-\d{6}(?=\.xosc)", out) == names
+    files = {path.name for path in (folder / "plain" / "scenarios").iterdir()}
+    assert files == {f"{name}{suffix}" for name in names for suffix in (".xosc", ".xodr")}
+    out = good(
+        "scenarios", "plain", "--departure", worst[1], "--format", "csv", "-o", "made", "--reference", "rear_axle",
+        cwd=folder,
+    )  # fmt: skip
+    (file,) = (folder / "made").iterdir()
+    assert (file.name, "positions of the rear axle" in out) == (f"{names[1]}.csv", True)
+    driven = np.array([[float(cell) for cell in row.values()] for row in csv_rows(file)])
+    assert driven[0, 0] == 0.0 < driven[0, -1] < driven[-1, 0]
+    out = good("scenarios", "plain", "--departure", worst[1], "--format", "csv", "--recorded", "-o", "made", cwd=folder)
+    assert "recorded path" in out
+    assert {row["trigger_time_s"] for row in csv_rows(file)} == {""}
+    good(
+        "scenarios",
+        "plain",
+        "--design",
+        "No control, y_s=0.2 m",
+        "--worst",
+        1,
+        "--format",
+        "csv",
+        "-o",
+        "none",
+        cwd=folder,
+    )
+    (file,) = (folder / "none").iterdir()
+    assert {row["trigger_time_s"] for row in csv_rows(file)} == {""}
+    assert "no departure that can be driven has it" in bad("scenarios", "plain", "--departure", 9999, cwd=folder)
+    assert "--worst" in bad("scenarios", "plain", "--worst", 0, cwd=folder)

@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from helpers.cli import bad, good, ldc
+from helpers.closed_loop import ZOO
 from helpers.recordings import OFFSET, drive, frame_of
-from ldctoolkit import controller_class, controller_names, load_model
+from ldctoolkit import controller_class, load_model
 from ldctoolkit.studies.study_file import Study, catalog_names, load_study
 
 KEY = re.compile(r"# (\w+ = .*)")
@@ -74,7 +75,7 @@ def test_what_is_commented_out_is_the_default(tmp_path: Path) -> None:
 
 def test_every_gain_can_be_swept(tmp_path: Path) -> None:
     """One after the other; a number with a range makes several designs."""
-    laws = [law for law in controller_names() if law != "none"]
+    laws = [law for law in ZOO if law != "none"]
     good("init", *(word for law in laws for word in ("--law", law)), "-o", "s.toml", cwd=tmp_path)
     text = (tmp_path / "s.toml").read_text(encoding="utf-8")
     assert [design.law for design in load_study(tmp_path / "s.toml").designs] == ["none", *laws]
@@ -126,10 +127,7 @@ def test_without_a_model_recorded_departures_are_replayed(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            [],
-            "init: give a study of the catalog or --law; allowed: ideal, my-vehicle, paper, paper-as-printed, reality",
-        ),
+        ([], "init: give a study of the catalog, --law or --data-sheet; allowed: ideal, my-vehicle, paper, "),
         (["papr"], "study: 'papr' is not in the catalog; did you mean 'paper'?"),
         (["there.toml"], "study: 'there.toml' is not in the catalog"),
         (["--law", "lqq"], "did you mean 'lqr'?"),

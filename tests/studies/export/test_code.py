@@ -20,10 +20,11 @@ from helpers.predictive import Held, Slow
 from ldctoolkit import Controller, Preview, Setup, load_model
 from ldctoolkit.control import EventStatus
 from ldctoolkit.controllers import LQR, PID, BarrierFilter, LinearMPC, NonlinearMPC, PurePursuit, SlidingMode, Stanley
+from ldctoolkit.controllers.external import compiler
 from ldctoolkit.plant_options import Actuator, PlantOptions
 from ldctoolkit.studies.export import export_c
 from ldctoolkit.studies.export.c_code import Code
-from ldctoolkit.studies.export.loop_check import Compiled, Rows, check, compiler, record, struct
+from ldctoolkit.studies.export.loop_check import Compiled, Rows, check, record, struct
 from ldctoolkit.studies.study_file import load_study
 
 REALISTIC = load_study("trigger-and-gains").setup()

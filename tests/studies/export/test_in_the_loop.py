@@ -11,7 +11,7 @@ import pytest
 
 from helpers.closed_loop import Constant, Table, make_scenarios, takeover
 from helpers.errors import assert_fields
-from helpers.predictive import Bent, Corridor, Held, Narrow, Quadratic, Slow, Three
+from helpers.predictive import Bent, Corridor, Fading, Held, Narrow, Quadratic, Rooted, Slow, Three
 from ldctoolkit import Controller, EventStatus, Preview, Setup, VehicleParameters, simulate
 from ldctoolkit.controllers import (
     LQI,
@@ -326,6 +326,27 @@ def test_predictive_controllers_from_wild_states(name: str) -> None:
     soft = name in ("limited", "corridor", "held", "narrow")
     assert (apart <= (1e-6 if soft else 1e-7)).mean() > (0.98 if name == "limited" else 0.999)  # several optima
     assert (apart <= 1e-7).mean() > (0.98 if soft else 0.999)
+
+
+@pytest.mark.parametrize("law", [Fading(), Rooted()])
+def test_weights_of_0_and_limits_that_are_no_numbers(law: Controller) -> None:
+    """Which only the lane makes them: no limit; a failed solve."""
+    setup = Setup(options=PlantOptions(actuator=Actuator(delay=0.05)))
+    code, rng, n = Code.of(law, setup, 0.1), np.random.default_rng(4), 60
+    v, x = rng.uniform(15.0, 40.0, n), rng.normal(size=(n, 4)) * [0.5, 0.3, 0.02, 0.05] + [1.0, 0.0, 0.0, 0.0]
+    prepared, sharp = law.prepare(setup.plant(v)), np.arange(n) % 2 == 1
+    yaw_rate = np.tile(np.where(sharp, 0.003, 0.001)[:, None] * v[:, None], (1, prepared.preview_times.size))
+    zero = np.zeros(n)
+    delta, _, status = prepared.step(zero, x, Preview(yaw_rate, 0.0 * yaw_rate, zero), zero, prepared.init(n))
+    row, compiled = np.zeros(n, dtype=struct(code.inputs)), Compiled(code, ["cc"])
+    for field, values in zip(("e_y", "e_y_rate", "e_psi", "e_psi_rate"), x.T, strict=True):
+        row[field] = values
+    row["v"], row["engage"], row["line_left"], row["curvature"] = v, 1, 1.0, yaw_rate / v[:, None]
+    out = compiled.step(row, compiled.begin(n))
+    failed = sharp & (law.name == "rooted")
+    np.testing.assert_array_equal(status == EventStatus.SOLVER_FAILED, failed)
+    np.testing.assert_array_equal(out["status"], np.where(failed, 4, 0))
+    np.testing.assert_allclose(out["delta"], delta, rtol=0.0, atol=1e-9)
 
 
 def test_gains_follow_the_exact_ones() -> None:

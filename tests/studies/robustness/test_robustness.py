@@ -11,8 +11,9 @@ import pytest
 from scipy import stats
 
 from helpers.bits import assert_same_bits
+from helpers.closed_loop import known
 from helpers.results import results_of_outcomes
-from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, Setup, VehicleParameters, register, simulate
+from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, Setup, VehicleParameters, simulate
 from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import design_margins
@@ -301,7 +302,6 @@ def test_numbers_do_not_depend_on_order_or_neighbours(task: RobustnessTask) -> N
     assert alone.S[0, 0, 0] == both.S[3, 0, 7]
 
 
-@register
 @dataclasses.dataclass(frozen=True)
 class Fussy(Controller):
     """Raises where a speed is not the one that it knows."""
@@ -318,7 +318,8 @@ def test_a_law_that_raises_is_told_and_the_others_are_driven(task: RobustnessTas
         task.chosen, designs=(*task.chosen.designs[:1], Design.of(Fussy(), 0.1)), contends=(True, True)
     )
     plants = task.plants[:3]
-    robustness = work_out(dataclasses.replace(task, chosen=chosen, plants=plants))
+    with known(Fussy):
+        robustness = work_out(dataclasses.replace(task, chosen=chosen, plants=plants))
     assert [(k, i) for k, i, _ in robustness.raised] == [(0, 1), (1, 1), (2, 1)]
     assert "not today" in robustness.raised[0][2]
     assert np.isnan(robustness.S[:, 1]).all()
