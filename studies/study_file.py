@@ -28,7 +28,7 @@ from ldctoolkit.checked_files import read_toml
 from ldctoolkit.code_content import from_file
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
-from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError, raised
+from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
 from ldctoolkit.metrics import MEAN_OF_ALL, UserMetric, declare, user_rows
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenario_model import conditions
@@ -42,52 +42,7 @@ from .design import Design
 from .design_space import DesignBlock, check_blocks, load_laws, named_laws
 from .requirements import SETS, criterion, metric, parse_requirement
 from .standards import VEHICLES, standard_names
-
-_MODEL: Final = "FILE.py:NAME of a VehicleModel, or an object of one"
-_models: Final[dict[str, VehicleModel]] = {}  # of this process, by what studies call them
-
-
-def load_vehicle_model(path: str, entry: Any, folder: Path | None, known: dict[str, VehicleModel]) -> str:
-    """What a study calls a vehicle model, given as an object, a class or FILE.py:NAME; the model into `known`.
-
-    Without a folder of files it is one that this process knows already.
-    """
-    text, model = (entry, known.get(entry)) if isinstance(entry, str) else ("", entry)
-    if isinstance(entry, str) and model is None:
-        model = _models.get(entry) if folder is None or ".py:" not in entry else None
-        model = from_file(path, entry, folder or Path(), _MODEL) if model is None else model
-    if isinstance(model, type) and issubclass(model, VehicleModel):
-        try:
-            model = model()
-        except TypeError as error:
-            raise InputError(path, raised(error), value=entry, allowed="a class whose fields have defaults") from None
-    if not isinstance(model, VehicleModel):
-        raise InputError(path, value=entry, allowed=_MODEL)
-    text = text or f"{type(model).__name__} {model.identity}"
-    known[text] = _models[text] = model
-    return text
-
-
-def _with_models(content: dict[str, Any], folder: Path | None, known: dict[str, VehicleModel]) -> dict[str, Any]:
-    """What a study file holds, with texts for its vehicle models."""
-    vehicle, ranking = content.get("vehicle"), content.get("ranking")
-    if isinstance(vehicle, dict) and "model" in vehicle:
-        rest = {key: value for key, value in vehicle.items() if key != "model"}
-        model = load_vehicle_model("vehicle.model", vehicle["model"], folder, known)
-        content = content | {"vehicle": rest, "vehicle_model": model}
-    elif content.get("vehicle_model"):
-        model = load_vehicle_model("vehicle_model", content["vehicle_model"], folder, known)
-        content = content | {"vehicle_model": model}
-    names = ranking.get("vehicles") if isinstance(ranking, dict) else None
-    if isinstance(ranking, dict) and isinstance(names, list | tuple):
-        models = [
-            load_vehicle_model(f"ranking.vehicles[{i}]", name, folder, known)
-            if not isinstance(name, str) or ":" in name or name in known
-            else name
-            for i, name in enumerate(names)
-        ]
-        content = content | {"ranking": ranking | {"vehicles": models}}
-    return content
+from .vehicle_models import MODEL, vehicle_name, with_models
 
 
 def _names(entry: Any) -> Any:
@@ -138,12 +93,6 @@ def read_table(kind: type, table: dict[str, Any], prefix: str = "") -> Any:
     return kind(**values)
 
 
-def _vehicle_name(name: str) -> str:
-    if name not in VEHICLES and name not in _models:
-        raise InputError(value=name, allowed=(*VEHICLES, "FILE.py:NAME of a VehicleModel"))
-    return name
-
-
 class RankingSettings(Part):
     """``[ranking]``."""
 
@@ -159,7 +108,7 @@ class RankingSettings(Part):
     pareto: MetricNames = ("S", "needless", "a_y_peak_mean", "effort_mean")  # Metrics of the Pareto front
     # Named vehicles, or vehicle models as FILE.py:NAME, that `S_worst` and `comfortable_worst` are the worst of. Empty
     # for none; where a requirement, the front or the search requires one of the two, for all that have a name
-    vehicles: Annotated[Names, _each(_vehicle_name)] = ()
+    vehicles: Annotated[Names, _each(vehicle_name)] = ()
     # At most so many of the best designs are scored again on fresh scenarios; 0 for none
     finalists: int = Field(default=10, ge=0, le=1000)
     # At most so many values are added to a list of gains or thresholds, beyond the end at which the winner lies, and in
@@ -480,16 +429,17 @@ class Study(Part):
         """
         known = dict(models or {})
         try:
-            content = load_laws(content, Path(folder or "."), laws := dict(classes or {}))
-            content = _with_models(content, None if folder is None else Path(folder), known)
+            place = Path(folder or ".")
+            content = load_laws(content, place, laws := dict(classes or {}))
+            content = with_models(content, None if folder is None else place, known)
             if "metrics" in content:
-                content = content | {"metrics": _loaded_metrics(content["metrics"], Path(folder or "."))}
+                content = content | {"metrics": _loaded_metrics(content["metrics"], place)}
             study = cls.model_validate(as_tuples(content), context=laws)
             study._models = known
             study.setup()
             if study.vehicle_model and (named := [name for name in study.vehicles if isinstance(name, str)]):
                 hint = "named vehicles, S_worst's if none are given, are changes of the single track"
-                raise InputError("ranking.vehicles", "with a vehicle model", value=named, allowed=_MODEL, hint=hint)
+                raise InputError("ranking.vehicles", "with a vehicle model", value=named, allowed=MODEL, hint=hint)
         except InputError as error:
             raise StudyError.of(error.within(source, ": ")) from None
         except ValidationError as error:

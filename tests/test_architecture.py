@@ -59,7 +59,7 @@ LEVELS = (
     ("studies.standards",),
     ("studies.requirements",),
     ("studies.design", "studies.results"),
-    ("studies.study_file", "studies.design_space", "studies.catalog"),
+    ("studies.study_file", "studies.design_space", "studies.catalog", "studies.vehicle_models"),
     ("studies.study_template",),
     ("studies.storage",),
     ("studies.running",),

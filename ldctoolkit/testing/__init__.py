@@ -1,4 +1,4 @@
-"""The contracts of controllers, vehicle models and metrics, as checks that their authors run in tests of their own.
+"""The contracts of controllers, metrics and vehicle models, as checks that their authors run in tests of their own.
 
 Under pytest, subclass `ControllerContract`; without it, call `check_controller_contract`. Nothing here needs pytest.
 """

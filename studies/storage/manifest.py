@@ -24,7 +24,8 @@ from ldctoolkit.version import DECISIVE, versions
 from ..design import Design
 from ..design_space import load_laws
 from ..standards import VEHICLES
-from ..study_file import Study, load_vehicle_model
+from ..study_file import Study
+from ..vehicle_models import load_vehicle_model
 from .checked_parts import difference_texts
 from .folder_files import read_bytes, read_parquet, write_json, write_parquet
 
