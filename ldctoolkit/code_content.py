@@ -290,9 +290,8 @@ def pickled_by_value(content: object, modules: Iterable[str]) -> bytes:
             cloudpickle.unregister_pickle_by_value(module)
 
 
-@functools.lru_cache(maxsize=64)
 def _loaded(path: Path, text: str) -> types.ModuleType:
-    """The module of a file with this text."""
+    """The module of a file with this text, run anew: what it reads may have changed."""
     name = f"{path.stem}_{hashlib.sha256(f'{path}{text}'.encode()).hexdigest()[:8]}"
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
