@@ -616,7 +616,7 @@ def _block(design: object, y_s: float | Sequence[float], classes: dict[str, type
         return named_laws({"y_s": y_s, **design}, classes)
     table = named_laws({"law": design}, classes)
     if not isinstance(table["law"], str):
-        allowed = "a controller, its class or name, or {'law': ..., 'gains': {...}}, each an argument of its own"
+        allowed = 'a controller, its class or name, or {"law": ..., "gains": {...}}, each an argument of its own'
         raise InputError("design", value=design, allowed=allowed)
     return {"gains": {}, **table} | ({} if table["law"] == "none" else {"y_s": y_s})
 
