@@ -245,7 +245,7 @@ class _FmuSteering(ExternalLaw):
 
     def take(self, rows: IntArray, state: Any) -> tuple[SteeringLaw, Any]:
         law, part = self._of(rows), tuple(shown[rows] for shown in state)
-        for instance in _fmu_of(self.design.file).some(law.rows.tolist()):
+        for instance in _fmu_of(self.design.file).take_instances(law.rows.tolist()):
             instance.after = part if instance.after is state else instance.after
         return law, part
 
