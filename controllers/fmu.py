@@ -94,10 +94,8 @@ class _Fmu:
             problem = f"is {'an array' if variable.dimensions else 'a scalar'} of {variable.type}"
             raise InputError(path, problem, value=name, allowed=f"a scalar of {', '.join(types)}")
         unit = variable.unit or getattr(variable.declaredType, "unit", None) or ""
-        base = self.units.get(unit)
-        # units need no definition
-        other = (float(base.factor), float(base.offset)) != (1.0, 0.0) if base else re.search(r"deg|°|km|mm|^g$", unit)
-        if si and other:
+        base = self.units.get(unit)  # a unit needs no definition
+        if si and (base.factor != 1.0 or base.offset if base else re.search(r"deg|°|km|mm|^g$", unit)):
             raise InputError(path, f"has the unit {unit!r}", value=name, allowed="m, rad, s and what follows from them")
         return variable
 
@@ -307,9 +305,8 @@ def FmuLaw(
     for status in outputs[1:]:
         fmu.check(status, "output", _WHOLE, "status")
     named = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
-    gains = [
-        _gain(fmu.check(key, "parameter", _NUMBERS, "parameters", si=False), value) for key, value in named.items()
-    ]
+    variables = [fmu.check(key, "parameter", _NUMBERS, "parameters", si=False) for key in named]
+    gains = [*map(_gain, variables, named.values())]
     base = {
         "law": _FmuSteering, "file": held, "inputs": tuple(pairs), "outputs": tuple(outputs),
         "settings": tuple(named), "communication_step": None if step is None else _STEP.check(step),
