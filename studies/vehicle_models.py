@@ -12,6 +12,7 @@ from ldctoolkit.vehicle import VehicleModel
 from .standards import VEHICLES
 
 MODEL: Final = "FILE.py:NAME of a VehicleModel, or an object of one"
+_OTHER: Final = "an object that another process made is known again after ldc.study(..., vehicle_model=...) with it"
 _models: Final[dict[str, VehicleModel]] = {}  # of this process, by what studies call them
 
 
@@ -23,6 +24,8 @@ def load_vehicle_model(path: str, entry: Any, folder: Path | None, known: dict[s
     text, model = (entry, known.get(entry)) if isinstance(entry, str) else ("", entry)
     if isinstance(entry, str) and model is None:
         model = _models.get(entry) if folder is None or ".py:" not in entry else None
+        if model is None and ".py:" not in entry:
+            raise InputError(path, value=entry, allowed=MODEL, hint=_OTHER if " " in entry else "")
         model = from_file(path, entry, folder or Path(), MODEL) if model is None else model
     if isinstance(model, type) and issubclass(model, VehicleModel):
         try:

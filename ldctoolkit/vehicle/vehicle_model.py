@@ -20,13 +20,14 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.casadi_code import Names, called, checked_expression, compiled
 from ldctoolkit.code_content import content_of, modules_of, pickled_by_value
-from ldctoolkit.errors import CheckedArguments, InputError, UnknownNameError
-from ldctoolkit.vehicle.bicycle import VehicleParameters, error_dynamics_matrices
+from ldctoolkit.errors import CheckedArguments, InputError, UnknownNameError, expect
+from ldctoolkit.vehicle.bicycle import VehicleParameters, checked_speeds, error_dynamics_matrices
 
 ERROR_STATES: Final = ("e_y", "e_y_rate", "e_psi", "e_psi_rate")
 POINT: Final = ("v", "v_rate", "yaw_rate", "delta")
 """Numbers of a moment: speed and its rate, the lane's yaw rate, angle of the wheels."""
 
+SHORTEST: Final = 1e-5  # [s] of steps
 TOGETHER: Final = 32  # Scenarios that one call of compiled code advances
 
 
@@ -102,6 +103,8 @@ class VehicleModel(CheckedArguments, abc.ABC):
             raise InputError(name, "has neither derivatives nor advance", hint="define one of the two")
         if not (isinstance(self.states, tuple) and all(isinstance(s, str) and s.isidentifier() for s in self.states)):
             raise InputError(f"{name}.states", value=self.states, allowed="a tuple of names")
+        if not (isinstance(self.longest_step, int | float) and SHORTEST <= self.longest_step <= 1.0):
+            raise InputError(f"{name}.longest_step", value=self.longest_step, allowed=f"{SHORTEST:g} to 1 s")
         for state in self.states:
             if state in (*ERROR_STATES, "delta") or self.states.count(state) > 1:
                 raise InputError(f"{name}.states", value=state, allowed=f"each once, and none of {ERROR_STATES}")
@@ -245,7 +248,7 @@ class VehicleModel(CheckedArguments, abc.ABC):
             What is kept, and where the search starts.
         speeds : tuple of float [m/s]
         """
-        return _fitted(self, like, np.asarray(speeds, dtype=float))
+        return _fitted(self, like, speeds)
 
     def __deepcopy__(self, memory: Any) -> VehicleModel:
         return self
@@ -306,20 +309,26 @@ class Equations:
     def _derivatives(self, x: Any, p: Any) -> list[Any]:
         """Rates of all states from their symbols or arrays, and those of a moment."""
         path = f"{self.name}.derivatives"
-        given = called(path, self.model.derivatives, *self.arguments(x, p))
+        given = self._called(path, self.model.derivatives, x, p)
         wanted = ("e_y_rate", "e_psi_rate", *self.model.states)
         values = self._values(path, given, wanted, x)
         return [x[1], values["e_y_rate"], x[3], *(values[name] for name in wanted[1:])]
 
     def _acceleration(self, x: Any, p: Any) -> Any:
         path = f"{self.name}.a_y"
-        return self._values(path, {"a_y": called(path, self.model.a_y, *self.arguments(x, p))}, ("a_y",), x)["a_y"]
+        return self._values(path, {"a_y": self._called(path, self.model.a_y, x, p)}, ("a_y",), x)["a_y"]
 
-    def arguments(self, x: Any, p: Any) -> tuple[Any, ...]:
-        """What a designer's method gets: x, delta, v, v_rate, lane."""
-        v, v_rate, yaw_rate, delta = p
-        lane = Names(f"{self.name}.lane", yaw_rate=yaw_rate, curvature=yaw_rate / v)
-        return Names(f"{self.name}.x", **dict(zip(self.names, x, strict=True))), delta, v, v_rate, lane
+    def _called(self, path: str, method: Callable[..., Any], x: Any, p: Any) -> Any:
+        """What a designer's method returns for x, delta, v, v_rate, lane; arrays are read-only to it."""
+        x, p = [*x], [*p, p[2] / p[0]]
+        for array in (*x, *p):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+        v, v_rate, yaw_rate, delta, curvature = p
+        lane = Names(f"{self.name}.lane", yaw_rate=yaw_rate, curvature=curvature)
+        names = Names(f"{self.name}.x", **dict(zip(self.names, x, strict=True)))
+        more = {} if self.symbolic else {"hint": "x, delta, v, v_rate and lane are arrays (n,), not to be changed"}
+        return called(path, method, names, delta, v, v_rate, lane, **more)
 
     def _values(self, path: str, given: Any, names: tuple[str, ...], like: Any) -> dict[str, Any]:
         """What a method gave, by name: symbols, or arrays like those of the states; else one sentence."""
@@ -336,10 +345,12 @@ class Equations:
         values = {}
         for name in names:
             try:
-                values[name] = np.broadcast_to(np.asarray(given[name], dtype=np.float64), like[0].shape)
+                array = np.asarray(given[name]).astype(np.float64, casting="same_kind")
+                values[name] = np.broadcast_to(array, like[0].shape)
             except (TypeError, ValueError):
                 value = getattr(given[name], "shape", type(given[name]).__name__)
-                raise InputError(where[name], value=value, allowed=f"an array {like[0].shape}") from None
+                allowed = f"an array {like[0].shape} of real numbers"
+                raise InputError(where[name], value=value, allowed=allowed) from None
         return values
 
     def rates(self, x: FloatArray, p: FloatArray) -> FloatArray:
@@ -513,10 +524,12 @@ def _newton(missing: Callable[[FloatArray], FloatArray], z: FloatArray) -> BoolA
 _FREQUENCIES: Final = 2.0 * np.pi * np.array([1e-3, 0.5, 1.0, 1.5, 2.0])  # [rad/s] of the fitted steering response
 
 
-def _fitted(model: VehicleModel, like: VehicleParameters, v: FloatArray) -> VehicleParameters:
+def _fitted(model: VehicleModel, like: VehicleParameters, speeds: tuple[float, ...]) -> VehicleParameters:
     from scipy.optimize import least_squares
 
-    eq, zero = equations(model), np.zeros_like(v)
+    expect("like", like, VehicleParameters)
+    eq, v = equations(model), checked_speeds(speeds)
+    zero = np.zeros_like(v)
     if model.advances:
         raise InputError(eq.name, "advances itself", hint="single_track() takes a model with derivatives")
     x, delta = eq.start(RecordedTurn(zero, zero, zero, zero, v, zero, zero, zero, zero))
