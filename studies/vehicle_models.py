@@ -42,13 +42,12 @@ def load_vehicle_model(path: str, entry: Any, folder: Path | None, known: dict[s
 def with_models(content: dict[str, Any], folder: Path | None, known: dict[str, VehicleModel]) -> dict[str, Any]:
     """What a study file holds, with texts for its vehicle models."""
     vehicle, ranking = content.get("vehicle"), content.get("ranking")
+    path, model = "vehicle_model", content.get("vehicle_model") or None
     if isinstance(vehicle, dict) and "model" in vehicle:
-        rest = {key: value for key, value in vehicle.items() if key != "model"}
-        model = load_vehicle_model("vehicle.model", vehicle["model"], folder, known)
-        content = content | {"vehicle": rest, "vehicle_model": model}
-    elif content.get("vehicle_model"):
-        model = load_vehicle_model("vehicle_model", content["vehicle_model"], folder, known)
-        content = content | {"vehicle_model": model}
+        path, model = "vehicle.model", vehicle["model"]
+        content = content | {"vehicle": {key: value for key, value in vehicle.items() if key != "model"}}
+    if model is not None:
+        content = content | {"vehicle_model": load_vehicle_model(path, model, folder, known)}
     names = ranking.get("vehicles") if isinstance(ranking, dict) else None
     if isinstance(ranking, dict) and isinstance(names, list | tuple):
         models = [
