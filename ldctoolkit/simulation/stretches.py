@@ -224,11 +224,8 @@ class ModelStretch(Stretch):
             i = int(np.flatnonzero(bad)[0])
             e_y, _, e_psi, _, _, v = work.e[i, :6]
             where = f"at e_y = {e_y:.3g} m, e_psi = {e_psi:.3g} rad, {v:.3g} m/s"
-            raise LdcError(
-                f"{self.equations.name}.{method}",
-                f"not finite {where}",
-                hint="ldctoolkit.testing.check_vehicle_model looks for the reason",
-            )
+            hint = "ldctoolkit.testing.check_vehicle_model looks for the reason"
+            raise LdcError(f"{self.equations.name}.{method}", f"not finite {where}", hint=hint)
 
 
 class _Workspace:
