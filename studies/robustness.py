@@ -321,8 +321,12 @@ class RobustnessTask:
         for own in vehicles:
             if isinstance(own, VehicleModel) and own != model:
                 name = type(own).__name__
-                what = f"vehicle model {name} in place of the study\u2019s vehicle"
-                plants.append(OtherPlant(f"model-{name}", f"Vehicle {name}", what, setup.options, model=own))
+                what = f"vehicle model {own!r} in place of the study\u2019s vehicle"
+                if same := sum(plant.title.split()[:2] == ["Vehicle", name] for plant in plants):
+                    name = f"{name} {same + 1}"
+                plants.append(
+                    OtherPlant(f"model-{name}".replace(" ", "-"), f"Vehicle {name}", what, setup.options, model=own)
+                )
         for plant in other_plants(setup.options):
             plant = dataclasses.replace(plant, model=model)
             reason = impossible(plant, setup.convention, has_residuals)

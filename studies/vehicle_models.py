@@ -12,6 +12,7 @@ from ldctoolkit.vehicle import VehicleModel
 from .standards import VEHICLES
 
 MODEL: Final = "FILE.py:NAME of a VehicleModel, or an object of one"
+_OTHER: Final = "an object that another process made is known again after ldc.study(..., vehicle_model=...) with it"
 _models: Final[dict[str, VehicleModel]] = {}  # of this process, by what studies call them
 
 
@@ -23,6 +24,8 @@ def load_vehicle_model(path: str, entry: Any, folder: Path | None, known: dict[s
     text, model = (entry, known.get(entry)) if isinstance(entry, str) else ("", entry)
     if isinstance(entry, str) and model is None:
         model = _models.get(entry) if folder is None or ".py:" not in entry else None
+        if model is None and ".py:" not in entry:
+            raise InputError(path, value=entry, allowed=MODEL, hint=_OTHER if " " in entry else "")
         model = from_file(path, entry, folder or Path(), MODEL) if model is None else model
     if isinstance(model, type) and issubclass(model, VehicleModel):
         try:
@@ -39,13 +42,12 @@ def load_vehicle_model(path: str, entry: Any, folder: Path | None, known: dict[s
 def with_models(content: dict[str, Any], folder: Path | None, known: dict[str, VehicleModel]) -> dict[str, Any]:
     """What a study file holds, with texts for its vehicle models."""
     vehicle, ranking = content.get("vehicle"), content.get("ranking")
+    path, model = "vehicle_model", content.get("vehicle_model") or None
     if isinstance(vehicle, dict) and "model" in vehicle:
-        rest = {key: value for key, value in vehicle.items() if key != "model"}
-        model = load_vehicle_model("vehicle.model", vehicle["model"], folder, known)
-        content = content | {"vehicle": rest, "vehicle_model": model}
-    elif content.get("vehicle_model"):
-        model = load_vehicle_model("vehicle_model", content["vehicle_model"], folder, known)
-        content = content | {"vehicle_model": model}
+        path, model = "vehicle.model", vehicle["model"]
+        content = content | {"vehicle": {key: value for key, value in vehicle.items() if key != "model"}}
+    if model is not None:
+        content = content | {"vehicle_model": load_vehicle_model(path, model, folder, known)}
     names = ranking.get("vehicles") if isinstance(ranking, dict) else None
     if isinstance(ranking, dict) and isinstance(names, list | tuple):
         models = [

@@ -13,13 +13,12 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.casadi_code import Names
 from ldctoolkit.declared import checked_whole
 from ldctoolkit.errors import LdcError
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.takeover import Takeover
 from ldctoolkit.surroundings import usable_cores
-from ldctoolkit.vehicle.vehicle_model import POINT, TOGETHER, Equations, equations
+from ldctoolkit.vehicle.vehicle_model import TOGETHER, equations
 
 SCENARIOS_A_TASK: Final = 1024  # Scenarios that a thread takes at a time
 
@@ -207,7 +206,9 @@ class ModelStretch(Stretch):
         if self.equations.symbolic:
             work.run(work.step_calls, n)
         elif self.model.advances:
-            self._advance(work, lanes[moved], np.flatnonzero(moved))
+            work.result[:n][moved], work.own_after[:n][moved] = self.equations.advance(
+                self.memory, lanes[moved], work.e[:n][moved], work.own[:n][moved]
+            )
         else:
             work.result[:n], work.own_after[:n] = self.equations.step(work.e[:n], work.own[:n])
         if not (np.isfinite(work.result[:n]).all() and np.isfinite(work.own_after[:n]).all()):
@@ -217,26 +218,14 @@ class ModelStretch(Stretch):
         if self.own.size:
             self.own[lanes[moved]] = work.own_after[:n][moved]
 
-    def _advance(self, work: _Workspace, lanes: IntArray, rows: IntArray) -> None:
-        """The model's own step of some lanes, in rows of the workspace."""
-        e, h, names = work.e[rows], work.e[rows, 4], self.equations.names
-        states = np.concatenate([e[:, :4], work.own[rows]], axis=1).T.copy()
-        road = []
-        for v, v_rate, yaw_rate, delta in e[:, 5:].T.reshape(3, len(POINT), -1).copy():
-            moment = {"v": v, "v_rate": v_rate, "yaw_rate": yaw_rate, "curvature": yaw_rate / v, "delta": delta}
-            road.append(Names("road", **moment))
-        x = Names("x", **dict(zip(names, states, strict=True)))
-        after = np.stack(self.equations.advanced(self.memory, lanes, x, tuple(road), h), axis=1)
-        area = 0.5 * h * (e[:, 0] + after[:, 0]) + h**2 / 12.0 * (e[:, 1] - after[:, 1])
-        work.result[rows], work.own_after[rows] = np.column_stack([after[:, :4], area]), after[:, 4:]
-
     def _fail(self, method: str, work: _Workspace, bad: BoolArray) -> None:
         """Raise where a model gave no number although its vehicle has not spun."""
         if bad.any():
             i = int(np.flatnonzero(bad)[0])
             e_y, _, e_psi, _, _, v = work.e[i, :6]
             where = f"at e_y = {e_y:.3g} m, e_psi = {e_psi:.3g} rad, {v:.3g} m/s"
-            raise LdcError(f"{self.equations.name}.{method}", f"not finite {where}", hint="ldc.testing checks a model")
+            hint = "ldctoolkit.testing.check_vehicle_model looks for the reason"
+            raise LdcError(f"{self.equations.name}.{method}", f"not finite {where}", hint=hint)
 
 
 class _Workspace:
@@ -251,23 +240,18 @@ class _Workspace:
         self.own, self.own_after = np.zeros((size, q)), np.zeros((size, q))
         self.step_calls: list[Any] = []
         self.a_y_calls: list[Any] = []
-        if plant.equations.symbolic:
-            self._calls(plant.equations)
-
-    def _calls(self, equations: Equations) -> None:
-        outputs: list[list[FloatArray]] = [[self.result, self.own_after], [self.a_y]]
-        for function, calls, results in zip(
-            equations.compiled, (self.step_calls, self.a_y_calls), outputs, strict=True
-        ):
-            for first in range(0, len(self.e), TOGETHER):
+        if not plant.equations.symbolic:
+            return
+        step, a_y = plant.equations.compiled
+        for first in range(0, size, TOGETHER):
+            for function, calls, results in (
+                (step, self.step_calls, [self.result, self.own_after]), (a_y, self.a_y_calls, [self.a_y]),
+            ):  # fmt: skip
                 buffer, run = function.buffer()
-                part = slice(first, first + TOGETHER)
-                for k, array in enumerate((self.e, self.own)):
-                    if array.size:
-                        buffer.set_arg(k, array[part].data)
-                for k, array in enumerate(results):
-                    if array.size:
-                        buffer.set_res(k, array[part].data)
+                for put, arrays in ((buffer.set_arg, [self.e, self.own]), (buffer.set_res, results)):
+                    for k, array in enumerate(arrays):
+                        if array.size:
+                            put(k, array[first : first + TOGETHER].data)
                 calls.append((run, function, buffer))
 
     @staticmethod

@@ -20,13 +20,15 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.casadi_code import Names, called, checked_expression, compiled
 from ldctoolkit.code_content import content_of, modules_of, pickled_by_value
-from ldctoolkit.errors import CheckedArguments, InputError, UnknownNameError
-from ldctoolkit.vehicle.bicycle import VehicleParameters, error_dynamics_matrices
+from ldctoolkit.errors import CheckedArguments, InputError, UnknownNameError, expect
+from ldctoolkit.vehicle.bicycle import VehicleParameters, checked_speeds, error_dynamics_matrices
 
 ERROR_STATES: Final = ("e_y", "e_y_rate", "e_psi", "e_psi_rate")
 POINT: Final = ("v", "v_rate", "yaw_rate", "delta")
 """Numbers of a moment: speed and its rate, the lane's yaw rate, angle of the wheels."""
 
+_FREQUENCIES: Final = 2.0 * np.pi * np.array([1e-3, 0.5, 1.0, 1.5, 2.0])  # [rad/s] of the fitted steering response
+SHORTEST: Final = 1e-5  # [s] of steps
 TOGETHER: Final = 32  # Scenarios that one call of compiled code advances
 
 
@@ -102,6 +104,8 @@ class VehicleModel(CheckedArguments, abc.ABC):
             raise InputError(name, "has neither derivatives nor advance", hint="define one of the two")
         if not (isinstance(self.states, tuple) and all(isinstance(s, str) and s.isidentifier() for s in self.states)):
             raise InputError(f"{name}.states", value=self.states, allowed="a tuple of names")
+        if not (isinstance(self.longest_step, int | float) and SHORTEST <= self.longest_step <= 1.0):
+            raise InputError(f"{name}.longest_step", value=self.longest_step, allowed=f"{SHORTEST:g} to 1 s")
         for state in self.states:
             if state in (*ERROR_STATES, "delta") or self.states.count(state) > 1:
                 raise InputError(f"{name}.states", value=state, allowed=f"each once, and none of {ERROR_STATES}")
@@ -146,11 +150,9 @@ class VehicleModel(CheckedArguments, abc.ABC):
 
     def a_y(self, x: Any, delta: Any, v: Any, v_rate: Any, lane: Any) -> Any:
         """Lateral acceleration of the centre of gravity [m/s^2]; here, that which belongs to the rate of e_y_rate."""
-        wave = _functions_of(v, x.e_psi)
-        sin, cos = wave.sin(x.e_psi), wave.cos(x.e_psi)
         rate = self.derivatives(x, delta, v, v_rate, lane)["e_y_rate"]
-        turning = x.e_psi_rate * (v * cos - self.v_y(x, v) * sin)
-        return (rate - v_rate * sin - turning) / cos + v * self.yaw_rate(x, lane)
+        cos = _functions_of(v, x.e_psi).cos(x.e_psi)
+        return (rate - self.e_y_acceleration(x, v, v_rate, lane, 0.0)) / cos
 
     def initial(self, turn: RecordedTurn) -> Mapping[str, Any]:
         """Where the m scenarios start, by name: e_psi, e_psi_rate, delta and `states`, arrays (m,).
@@ -229,7 +231,28 @@ class VehicleModel(CheckedArguments, abc.ABC):
         **guess : number or (m,)
             First values of `states`, 0 by default, or of e_psi and delta.
         """
-        return _steady_turn(self, turn, guess)
+        eq, m = equations(self), turn.v.size
+        names = ("e_psi", "delta", *self.states)
+        if unknown := [name for name in guess if name not in names]:
+            raise UnknownNameError(f"{eq.name}.steady_turn.{unknown[0]}", "no such state", allowed=names)
+        first = {"e_psi": turn.e_psi, "delta": turn.delta} | dict.fromkeys(self.states, 0.0) | {**guess}
+        z = np.column_stack([np.broadcast_to(np.asarray(first[name], dtype=float), m) for name in names])
+
+        def missing(z: FloatArray, at: RecordedTurn) -> FloatArray:
+            """Rates that should be 0: of e_y_rate beyond the path's, of e_psi_rate, of the states."""
+            x = np.column_stack([at.e_y, at.e_y_rate, z[:, 0], at.e_psi_rate, z[:, 2:]])
+            rates = eq.rates(x, np.column_stack([at.v, at.v_rate, at.yaw_rate, z[:, 1]]))
+            return np.column_stack([rates[:, 1] - at.e_y_acceleration, rates[:, 3:]])
+
+        start = z.copy()
+        lost = ~_newton(functools.partial(missing, at=turn), z)
+        if lost.any():  # no such turn: that of the single track, with states that do not change in it
+            at, fixed = turn.take(lost), np.column_stack([turn.e_psi, turn.delta])[lost]
+            z[lost, :2], own = fixed, start[lost, 2:]
+            if own.size:
+                settled = _newton(lambda own: missing(np.column_stack([fixed, own]), at)[:, 2:], own)
+                z[lost, 2:] = np.where(settled[:, None], own, np.nan)
+        return dict(zip(names, z.T.copy(), strict=True))
 
     def single_track(
         self, like: VehicleParameters, speeds: tuple[float, ...] = (15.0, 25.0, 35.0)
@@ -245,7 +268,34 @@ class VehicleModel(CheckedArguments, abc.ABC):
             What is kept, and where the search starts.
         speeds : tuple of float [m/s]
         """
-        return _fitted(self, like, np.asarray(speeds, dtype=float))
+        from scipy.optimize import least_squares
+
+        expect("like", like, VehicleParameters)
+        eq, v = equations(self), checked_speeds(speeds)
+        zero = np.zeros_like(v)
+        if self.advances:
+            raise InputError(eq.name, "advances itself", hint="single_track() takes a model with derivatives")
+        x, delta = eq.start(RecordedTurn(zero, zero, zero, zero, v, zero, zero, zero, zero))
+        slopes = eq.jacobian(x, np.column_stack([v, zero, zero, delta]))
+
+        def response(A: FloatArray, B: FloatArray) -> FloatArray:
+            """From the wheel angle to the yaw rate, and to the lateral acceleration, at every speed and frequency."""
+            s = 1j * _FREQUENCIES[:, None, None, None]
+            G = np.linalg.solve(s * np.eye(A.shape[-1]) - A, np.broadcast_to(B[..., None], (len(s), *B.shape, 1)))
+            return np.stack([G[:, :, 3, 0], s[:, :, 0, 0] * G[:, :, 1, 0]])
+
+        wanted = response(slopes[:, :, :-1], slopes[:, :, -1])
+
+        def off(logarithms: FloatArray) -> FloatArray:
+            A, B, _ = error_dynamics_matrices(fitted(logarithms), v, "consistent")
+            error = ((response(A, B) - wanted) / np.abs(wanted)).ravel()
+            return np.concatenate([error.real, error.imag])
+
+        def fitted(logarithms: FloatArray) -> VehicleParameters:
+            values = np.exp(logarithms).tolist()
+            return dataclasses.replace(like, **dict(zip(("C_af", "C_ar", "I_z"), values, strict=True)))
+
+        return fitted(least_squares(off, np.log([like.C_af, like.C_ar, like.I_z]), x_scale=0.1).x)
 
     def __deepcopy__(self, memory: Any) -> VehicleModel:
         return self
@@ -306,20 +356,26 @@ class Equations:
     def _derivatives(self, x: Any, p: Any) -> list[Any]:
         """Rates of all states from their symbols or arrays, and those of a moment."""
         path = f"{self.name}.derivatives"
-        given = called(path, self.model.derivatives, *self.arguments(x, p))
+        given = self._called(path, self.model.derivatives, x, p)
         wanted = ("e_y_rate", "e_psi_rate", *self.model.states)
         values = self._values(path, given, wanted, x)
         return [x[1], values["e_y_rate"], x[3], *(values[name] for name in wanted[1:])]
 
     def _acceleration(self, x: Any, p: Any) -> Any:
         path = f"{self.name}.a_y"
-        return self._values(path, {"a_y": called(path, self.model.a_y, *self.arguments(x, p))}, ("a_y",), x)["a_y"]
+        return self._values(path, {"a_y": self._called(path, self.model.a_y, x, p)}, ("a_y",), x)["a_y"]
 
-    def arguments(self, x: Any, p: Any) -> tuple[Any, ...]:
-        """What a designer's method gets: x, delta, v, v_rate, lane."""
-        v, v_rate, yaw_rate, delta = p
-        lane = Names(f"{self.name}.lane", yaw_rate=yaw_rate, curvature=yaw_rate / v)
-        return Names(f"{self.name}.x", **dict(zip(self.names, x, strict=True))), delta, v, v_rate, lane
+    def _called(self, path: str, method: Callable[..., Any], x: Any, p: Any) -> Any:
+        """What a designer's method returns for x, delta, v, v_rate, lane; arrays are read-only to it."""
+        x, p = [*x], [*p, p[2] / p[0]]
+        for array in (*x, *p):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+        v, v_rate, yaw_rate, delta, curvature = p
+        lane = Names(f"{self.name}.lane", yaw_rate=yaw_rate, curvature=curvature)
+        names = Names(f"{self.name}.x", **dict(zip(self.names, x, strict=True)))
+        more = {} if self.symbolic else {"hint": "x, delta, v, v_rate and lane are arrays (n,), not to be changed"}
+        return called(path, method, names, delta, v, v_rate, lane, **more)
 
     def _values(self, path: str, given: Any, names: tuple[str, ...], like: Any) -> dict[str, Any]:
         """What a method gave, by name: symbols, or arrays like those of the states; else one sentence."""
@@ -336,10 +392,12 @@ class Equations:
         values = {}
         for name in names:
             try:
-                values[name] = np.broadcast_to(np.asarray(given[name], dtype=np.float64), like[0].shape)
+                array = np.asarray(given[name]).astype(np.float64, casting="same_kind")
+                values[name] = np.broadcast_to(array, like[0].shape)
             except (TypeError, ValueError):
                 value = getattr(given[name], "shape", type(given[name]).__name__)
-                raise InputError(where[name], value=value, allowed=f"an array {like[0].shape}") from None
+                allowed = f"an array {like[0].shape} of real numbers"
+                raise InputError(where[name], value=value, allowed=allowed) from None
         return values
 
     def rates(self, x: FloatArray, p: FloatArray) -> FloatArray:
@@ -370,11 +428,17 @@ class Equations:
             after, area = _runge_kutta(rate, x, e[:, 4].copy(), [*points])
         return np.column_stack([after[:4].T, area]), after[4:].T
 
-    def advanced(self, memory: Any, rows: IntArray, x: Any, road: Any, h: FloatArray) -> list[FloatArray]:
-        """All states after the model's own step, arrays (k,)."""
-        path = f"{self.name}.advance"
-        given = called(path, self.model.advance, memory, rows, x, road, h, hint="")
-        return [*self._values(path, given, self.names, (h,)).values()]
+    def advance(self, memory: Any, rows: IntArray, e: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The same as `step` by the model's own step, of scenarios `rows`."""
+        path, h, road = f"{self.name}.advance", e[:, 4], []
+        for v, v_rate, yaw_rate, delta in e[:, 5:].T.reshape(3, len(POINT), -1).copy():
+            moment = {"v": v, "v_rate": v_rate, "yaw_rate": yaw_rate, "curvature": yaw_rate / v, "delta": delta}
+            road.append(Names("road", **moment))
+        x = Names("x", **dict(zip(self.names, np.concatenate([e[:, :4], own], axis=1).T.copy(), strict=True)))
+        given = called(path, self.model.advance, memory, rows, x, tuple(road), h.copy(), hint="")
+        after = np.stack([*self._values(path, given, self.names, (h,)).values()], axis=1)
+        area = 0.5 * h * (e[:, 0] + after[:, 0]) + h**2 / 12.0 * (e[:, 1] - after[:, 1])
+        return np.column_stack([after[:, :4], area]), after[:, 4:]
 
     def jacobian(self, x: FloatArray, p: FloatArray) -> FloatArray:
         """Derivatives of the rates on the states and on the wheel angle, (n, N, N + 1), by central differences."""
@@ -458,33 +522,6 @@ _SHORTER: Final = 5  # Times that one is halved at most
 _LARGEST_TURN: Final = 0.1  # [rad] change of e_psi and delta in a step
 
 
-def _steady_turn(model: VehicleModel, turn: RecordedTurn, guess: Mapping[str, Any]) -> dict[str, FloatArray]:
-    eq, m = equations(model), turn.v.size
-    names = ("e_psi", "delta", *model.states)
-    if unknown := [name for name in guess if name not in names]:
-        raise UnknownNameError(f"{eq.name}.steady_turn.{unknown[0]}", "no such state", allowed=names)
-    first = {"e_psi": turn.e_psi, "delta": turn.delta} | dict.fromkeys(model.states, 0.0) | {**guess}
-    z = np.column_stack([np.broadcast_to(np.asarray(first[name], dtype=float), m) for name in names])
-
-    def missing(z: FloatArray, at: RecordedTurn) -> FloatArray:
-        """Rates that should be 0: of e_y_rate beyond the path's, of e_psi_rate, of the states."""
-        x = np.column_stack([at.e_y, at.e_y_rate, z[:, 0], at.e_psi_rate, z[:, 2:]])
-        rates = eq.rates(x, np.column_stack([at.v, at.v_rate, at.yaw_rate, z[:, 1]]))
-        return np.column_stack([rates[:, 1] - at.e_y_acceleration, rates[:, 3:]])
-
-    found = _newton(functools.partial(missing, at=turn), z)
-    lost = ~found
-    if lost.any():  # no such turn: that of the single track, with states that do not change in it
-        at, fixed = turn.take(lost), np.column_stack([turn.e_psi, turn.delta])[lost]
-        z[lost, :2], own = fixed, z[lost, 2:]
-        for j in range(own.shape[1]):
-            own[:, j] = np.broadcast_to(np.asarray(first[model.states[j]], dtype=float), m)[lost]
-        if own.size:
-            settled = _newton(lambda own: missing(np.column_stack([fixed, own]), at)[:, 2:], own)
-            z[lost, 2:] = np.where(settled[:, None], own, np.nan)
-    return dict(zip(names, z.T.copy(), strict=True))
-
-
 def _newton(missing: Callable[[FloatArray], FloatArray], z: FloatArray) -> BoolArray:
     """Move z (m, j) to where the values `missing` (m, j) are 0; which rows were found, (m,)."""
     done = np.zeros(len(z), dtype=np.bool_)
@@ -508,35 +545,3 @@ def _newton(missing: Callable[[FloatArray], FloatArray], z: FloatArray) -> BoolA
             if done.all():
                 break
         return np.asarray(done & (np.abs(missing(z)) <= 1e-6 * np.abs(slopes).max(axis=2) + 1e-9).all(axis=1))
-
-
-_FREQUENCIES: Final = 2.0 * np.pi * np.array([1e-3, 0.5, 1.0, 1.5, 2.0])  # [rad/s] of the fitted steering response
-
-
-def _fitted(model: VehicleModel, like: VehicleParameters, v: FloatArray) -> VehicleParameters:
-    from scipy.optimize import least_squares
-
-    eq, zero = equations(model), np.zeros_like(v)
-    if model.advances:
-        raise InputError(eq.name, "advances itself", hint="single_track() takes a model with derivatives")
-    x, delta = eq.start(RecordedTurn(zero, zero, zero, zero, v, zero, zero, zero, zero))
-    slopes = eq.jacobian(x, np.column_stack([v, zero, zero, delta]))
-
-    def response(A: FloatArray, B: FloatArray) -> FloatArray:
-        """From the wheel angle to the yaw rate, and to the lateral acceleration, at every speed and frequency."""
-        s = 1j * _FREQUENCIES[:, None, None, None]
-        G = np.linalg.solve(s * np.eye(A.shape[-1]) - A, np.broadcast_to(B[..., None], (len(s), *B.shape, 1)))
-        return np.stack([G[:, :, 3, 0], s[:, :, 0, 0] * G[:, :, 1, 0]])
-
-    wanted = response(slopes[:, :, :-1], slopes[:, :, -1])
-
-    def off(logarithms: FloatArray) -> FloatArray:
-        A, B, _ = error_dynamics_matrices(fitted(logarithms), v, "consistent")
-        error = ((response(A, B) - wanted) / np.abs(wanted)).ravel()
-        return np.concatenate([error.real, error.imag])
-
-    def fitted(logarithms: FloatArray) -> VehicleParameters:
-        values = np.exp(logarithms).tolist()
-        return dataclasses.replace(like, **dict(zip(("C_af", "C_ar", "I_z"), values, strict=True)))
-
-    return fitted(least_squares(off, np.log([like.C_af, like.C_ar, like.I_z]), x_scale=0.1).x)

@@ -189,7 +189,7 @@ class Manifest(BaseModel):
     inputs: dict[str, Any]  # What decides the numbers of any design
     seed: int
     laws: dict[str, str] = {}  # Content of the code of laws that are not the toolkit's
-    # Where vehicle models are, from the working directory, and their identity, by what the study calls them
+    # Where vehicle models are, and their identity, by what the study calls them
     vehicle_models: dict[str, tuple[str, str]] = {}
     versions: dict[str, str]  # Packages
     python: str
@@ -238,7 +238,8 @@ class Manifest(BaseModel):
             seed=study.seed,
             laws=study.laws(),
             vehicle_models={
-                name: ((study.folder / name).as_posix(), model.identity) for name, model in study.vehicle_models.items()
+                name: ((study.folder / name).resolve().as_posix(), model.identity)
+                for name, model in study.vehicle_models.items()
             },
             versions=dict(versions((*DECISIVE, "polars", "pydantic", "loky"))),
             python=platform.python_version(),

@@ -152,6 +152,8 @@ def rates(**changed: Any) -> dict[str, Any]:
         (lambda _, x, *__: rates(e_psi_rate=ca.sqrt(x.e_psi - 1.0)), "Bad.derivatives", {}),
         (lambda _, x, *__: rates(e_psi_rate=1.0 if x.e_psi > 0 else 0.0), "Bad.derivatives", {}),
         (lambda *_: rates(e_psi_rate=np.zeros(3)), "Bad.derivatives['e_psi_rate']", {"symbolic": False}),
+        (lambda _, x, *__: rates(e_psi_rate=np.negative(x.e_psi, out=x.e_psi)), "Bad.derivatives", {"symbolic": False}),
+        (lambda _, x, *__: rates(e_psi_rate=1j * x.e_psi), "Bad.derivatives['e_psi_rate']", {"symbolic": False}),
         (lambda _, x, delta, *__: rates(e_psi_rate=1e5 * (delta - x.e_psi_rate)), "Bad.derivatives", {}),
     ],
 )
@@ -192,6 +194,10 @@ def test_what_a_class_and_a_setup_must_be() -> None:
         Bare()
     with refused("Bad.states", value="e_y"):
         model(lambda *_: rates(), states=("e_y",))
+    with refused("Bad.longest_step", value=0.0):
+        model(lambda *_: rates(), longest_step=0.0)
+    with refused("like"):
+        Bicycle().single_track(None)  # type: ignore[arg-type]
     with refused("Bad"):
         dataclasses.dataclass(frozen=True)(type("Bad", (ldc.VehicleModel,), {}))()
     with refused("Bicycle.m"):

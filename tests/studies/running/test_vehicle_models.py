@@ -36,10 +36,12 @@ def written(folder: Path, vehicle: str = 'vehicle = { model = "my_car.py:Car" }'
     return folder / "mine.toml"
 
 
-def test_an_edit_of_the_vehicle_is_run_anew(tmp_path: Path) -> None:
+def test_an_edit_of_the_vehicle_is_run_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, out = written(tmp_path), tmp_path / "out"
-    study = load_study(path)
+    monkeypatch.chdir(tmp_path)
+    study = load_study(path.name)
     first = run_study(study, directory=out, workers=1)
+    monkeypatch.chdir("/")  # results open wherever one is
     np.testing.assert_array_equal(read_results(out).S, first.S)
     np.testing.assert_array_equal(run_study(study, directory=tmp_path / "two", workers=2).S, first.S)
     car = tmp_path / "my_car.py"
@@ -89,6 +91,9 @@ def test_the_ranking_on_another_vehicle(tmp_path: Path) -> None:
     assert not np.isnan(robustness.S[robustness.titles.index("Vehicle Car")]).any()
     on_model = load_study(written(tmp_path))
     results = run_study(on_model, directory=tmp_path / "model", workers=1)
+    both = [my_car.Car(mu=0.5), my_car.Car(mu=0.6)]
+    task = RobustnessTask.of(results, ranking, study.setup(), per_side=2, vehicles=both)
+    assert [plant.name for plant in task.plants][1:3] == ["model-Car", "model-Car-2"]
     task = RobustnessTask.of(results, rank_study(results, on_model), on_model.setup(), per_side=2)
     assert "Single track" in [plant.title for plant in task.plants]
     assert "Saturating tyres" in [title for title, _ in task.left_out]
