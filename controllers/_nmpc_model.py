@@ -302,8 +302,9 @@ class _Builder:
             rest = _replaced(value, [(self.u, ca.DM(0)), (self.change, ca.DM(0))])
             ends = (low - rest) / slope, (high - rest) / slope
             k = 2 * held[0]
-            bounds[k] = ca.fmax(bounds[k], ca.fmin(*ends))
-            bounds[k + 1] = ca.fmin(bounds[k + 1], ca.fmax(*ends))
+            rising = ca.simplify(slope > 0)  # not by fmin and fmax of both ends, which drop one that is no number
+            bounds[k] = ca.fmax(bounds[k], ca.if_else(rising, *ends))
+            bounds[k + 1] = ca.fmin(bounds[k + 1], ca.if_else(rising, *ends[::-1]))
         return (
             cost,
             tuple(bounds),

@@ -461,7 +461,9 @@ def named_laws(
 
     Its ``files`` are the places of the last, by name: another process finds them there.
     """
-    laws, files, names, gains = table.get("law"), table.get("files", {}), list[Any](), dict[str, Any]()
+    if "law" not in table:
+        return table
+    laws, files, names, gains = table["law"], table.get("files", {}), list[Any](), dict[str, Any]()
     stored = [place for name, place in files.items() if name not in classes] if isinstance(files, dict) else []
     for law in [*stored, *(laws if isinstance(laws, list | tuple) else [laws])]:
         of_file = isinstance(law, str) and ".py:" in law
@@ -488,9 +490,11 @@ def load_laws(content: dict[str, Any], folder: Path, classes: dict[str, type[Con
     """What a study file holds, with its laws known to this process and named."""
     if not isinstance(tables := content.get("design"), list | tuple):
         return content
-    laws = {i for i, table in enumerate(tables) if isinstance(table, dict) and "law" in table}
-    named = (named_laws(t, classes, folder, f"design[{i}].law") if i in laws else t for i, t in enumerate(tables))
-    return content | {"design": [*named]}
+    named = [
+        named_laws(table, classes, folder, f"design[{i}].law") if isinstance(table, dict) else table
+        for i, table in enumerate(tables)
+    ]
+    return content | {"design": named}
 
 
 def _read_laws(entry: Any, classes: Mapping[str, type[Controller]] | None) -> tuple[tuple[str, ...], tuple[Any, ...]]:

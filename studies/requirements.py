@@ -4,14 +4,17 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Literal
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BeforeValidator, InstanceOf, PlainSerializer
 
 from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.code_content import from_file
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
-from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT, MEAN_OF_ALL, METRICS, Metric, user_rows
+from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT, MEAN_OF_ALL, METRICS, Metric, UserMetric, declare, user_rows
 from ldctoolkit.plant_options import PlantOptions
 
 from .standards import load_standard, standard_names
@@ -23,6 +26,38 @@ _ALIASES: Final = {
     **{metric.column: metric.name for metric in METRICS.values()},
 }
 """Other names of the same metrics; the columns of ``ranking.csv`` are among them."""
+
+
+def _user_metrics(entry: Any) -> Any:
+    """Designers' metrics, as objects or as `UserMetric.content`; each of its own name."""
+    metrics: list[UserMetric] = []
+    for i, value in enumerate(entry if isinstance(entry, tuple) else (entry,)):
+        row = UserMetric(**value) if isinstance(value, dict) and "code" in value else value
+        if not isinstance(row, UserMetric):
+            allowed = "a function with the decorator @ldc.metric(unit=...), or FILE.py:NAME of one"
+            raise InputError(f"[{i}]", value=value, allowed=allowed)
+        if row.name in (other.name for other in metrics):
+            raise InputError(f"[{i}]", "is the name of two metrics", value=row.name, allowed="a name for each")
+        metrics.append(declare(row))
+    return tuple(metrics)
+
+
+def loaded_metrics(entry: Any, folder: Path) -> list[Any]:
+    """The entries of ``metrics``, those that are texts loaded from their files."""
+    metrics = []
+    for i, value in enumerate(entry if isinstance(entry, list | tuple) else [entry]):
+        if isinstance(value, str):
+            found = from_file(f"metrics[{i}]", value, folder, "FILE.py:NAME of a metric")
+            value = dataclasses.replace(found, source=value) if isinstance(found, UserMetric) else found
+        metrics.append(value)
+    return metrics
+
+
+UserMetrics = Annotated[
+    tuple[InstanceOf[UserMetric], ...],
+    BeforeValidator(_user_metrics),
+    PlainSerializer(lambda metrics: [row.content() for row in metrics]),
+]
 
 
 def metric(name: str) -> Metric:

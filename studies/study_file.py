@@ -12,24 +12,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_type_hints
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    InstanceOf,
-    PlainSerializer,
-    PrivateAttr,
-    ValidationError,
-    create_model,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, ValidationError, create_model, model_validator
 
 from ldctoolkit.checked_files import read_toml
-from ldctoolkit.code_content import from_file
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
-from ldctoolkit.metrics import MEAN_OF_ALL, UserMetric, declare, user_rows
+from ldctoolkit.metrics import MEAN_OF_ALL, user_rows
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
@@ -40,7 +29,7 @@ from ldctoolkit.vehicle.bicycle import VehicleParameters
 
 from .design import Design
 from .design_space import DesignBlock, check_blocks, load_laws, named_laws
-from .requirements import SETS, criterion, metric, parse_requirement
+from .requirements import SETS, UserMetrics, criterion, loaded_metrics, metric, parse_requirement
 from .standards import VEHICLES, standard_names
 from .vehicle_models import MODEL, vehicle_name, with_models
 
@@ -255,38 +244,6 @@ def _vehicle(entry: Any) -> Any:
         raise error.at(error.path.removeprefix("vehicle.")) from None
 
 
-def _user_metrics(entry: Any) -> Any:
-    """Designers' metrics, as objects or as `UserMetric.content`; each of its own name."""
-    metrics: list[UserMetric] = []
-    for i, value in enumerate(entry if isinstance(entry, tuple) else (entry,)):
-        metric = UserMetric(**value) if isinstance(value, dict) and "code" in value else value
-        if not isinstance(metric, UserMetric):
-            allowed = "a function with the decorator @ldc.metric(unit=...), or FILE.py:NAME of one"
-            raise InputError(f"[{i}]", value=value, allowed=allowed)
-        if metric.name in (other.name for other in metrics):
-            raise InputError(f"[{i}]", "is the name of two metrics", value=metric.name, allowed="a name for each")
-        metrics.append(declare(metric))
-    return tuple(metrics)
-
-
-def _loaded_metrics(entry: Any, folder: Path) -> list[Any]:
-    """The entries of ``metrics``, those that are texts loaded from their files."""
-    metrics = []
-    for i, value in enumerate(entry if isinstance(entry, list | tuple) else [entry]):
-        if isinstance(value, str):
-            found = from_file(f"metrics[{i}]", value, folder, "FILE.py:NAME of a metric")
-            value = dataclasses.replace(found, source=value) if isinstance(found, UserMetric) else found
-        metrics.append(value)
-    return metrics
-
-
-UserMetrics = Annotated[
-    tuple[InstanceOf[UserMetric], ...],
-    BeforeValidator(_user_metrics),
-    PlainSerializer(lambda metrics: [metric.content() for metric in metrics]),
-]
-
-
 class Study(Part):
     """A study: what is run, on what, and how it is ranked. Made with `from_toml` or from keyword arguments.
 
@@ -328,15 +285,12 @@ class Study(Part):
     @model_validator(mode="before")
     @classmethod
     def _front_of_the_search(cls, content: Any) -> Any:
-        """Several objectives of a search are the metrics of the Pareto front, unless others are written down; what
-        designs are ranked by is its objective where it names none.
-        """
+        """Several objectives of a search are the Pareto front's metrics; its default is what designs are ranked by."""
         if not isinstance(content, dict) or not isinstance(content.get("search"), dict):
             return content
         objectives, ranking = content["search"].get("objectives"), content.get("ranking", {})
         if objectives is None and isinstance(ranking, dict) and ranking.get("rank_by", "S") != "S":
-            of = f"{ranking['rank_by']}_{MEAN_OF_ALL}"
-            return content | {"search": content["search"] | {"objectives": (of,)}}
+            return content | {"search": content["search"] | {"objectives": f"{ranking['rank_by']}_{MEAN_OF_ALL}"}}
         several = isinstance(objectives, list | tuple) and len(objectives) > 1
         if not several or not isinstance(ranking, dict) or "pareto" in ranking:
             return content
@@ -358,8 +312,7 @@ class Study(Part):
     def _own_metrics(self) -> Self:
         names = [metric.name for metric in self.metrics]  # another study of this process may have others
         for text in (*self._metrics, self.ranking.rank_by):
-            row = user_rows().get(re.split("[ <>=]", text)[0]) if text != "S" else None
-            if row is not None and row.of[0] not in names:
+            if (row := user_rows().get(re.split("[ <>=]", text)[0])) and row.of[0] not in names:
                 raise InputError("metrics", f"without {row.of[0]}, which is named", value=text, allowed=names or "none")
         return self
 
@@ -433,7 +386,7 @@ class Study(Part):
             content = load_laws(content, place, laws := dict(classes or {}))
             content = with_models(content, None if folder is None else place, known)
             if "metrics" in content:
-                content = content | {"metrics": _loaded_metrics(content["metrics"], place)}
+                content = content | {"metrics": loaded_metrics(content["metrics"], place)}
             study = cls.model_validate(as_tuples(content), context=laws)
             study._models = known
             study.setup()
@@ -663,7 +616,7 @@ def _block(design: object, y_s: float | Sequence[float], classes: dict[str, type
         return named_laws({"y_s": y_s, **design}, classes)
     table = named_laws({"law": design}, classes)
     if not isinstance(table["law"], str):
-        allowed = "a controller, its class or name, or {'law': ..., 'gains': {...}}, each an argument of its own"
+        allowed = 'a controller, its class or name, or {"law": ..., "gains": {...}}, each an argument of its own'
         raise InputError("design", value=design, allowed=allowed)
     return {"gains": {}, **table} | ({} if table["law"] == "none" else {"y_s": y_s})
 

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from helpers.bits import load_profile
-from ldctoolkit import registry
+from ldctoolkit import metrics, registry
 
 load_profile()
 
@@ -15,12 +16,14 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 @pytest.fixture(autouse=True)
-def _laws_of_one_test() -> Iterator[None]:
-    """A law that a test registers is forgotten after it, so that the order of tests does not matter."""
-    before = dict(registry._registered)
+def _parts_of_one_test() -> Iterator[None]:
+    """A law or metric that a test makes known is forgotten after it, so that the order of tests does not matter."""
+    tables: list[dict[str, Any]] = [registry._registered, metrics._user, metrics._user_rows]
+    before = [dict(table) for table in tables]
     yield
-    registry._registered.clear()
-    registry._registered.update(before)
+    for table, content in zip(tables, before, strict=True):
+        table.clear()
+        table.update(content)
 
 
 @pytest.fixture(scope="session")

@@ -74,7 +74,7 @@ class Integrating(Quadratic):
 
 @dataclasses.dataclass(frozen=True)
 class Kinked(Quadratic):
-    """Not linear at straight driving, in one of four ways."""
+    """Not linear at straight driving, in one of three ways, or with a kink elsewhere."""
 
     kind: str = ldc.option("none", choices=("none", "sided", "absolute", "hard", "soft"), description="where")
 
@@ -83,7 +83,7 @@ class Kinked(Quadratic):
         if self.kind == "sided":
             cost += ca.fmax(x.e_y, 0.0) ** 2
         if self.kind == "absolute":
-            cost += 0.05 * ca.fabs(x.e_y)
+            cost += 0.05 * ca.fabs(x.e_y - 0.05)
         hard = [(u.delta, 0.0 if self.kind == "hard" else -0.1, 0.1)]
         return Stage(cost, hard, [Soft(x.e_y, upper=0.0)] if self.kind == "soft" else [])
 
@@ -149,7 +149,7 @@ def test_pulses_start_when_a_law_knows_what_was_before() -> None:
             np.testing.assert_allclose(H, exactly, rtol=1e-3, atol=1e-4)
 
 
-@pytest.mark.parametrize(("kind", "linear"), [("none", True), ("sided", False), ("absolute", False), ("hard", False),
+@pytest.mark.parametrize(("kind", "linear"), [("none", True), ("sided", False), ("absolute", True), ("hard", False),
                                               ("soft", False)])  # fmt: skip
 def test_a_kink_at_straight_driving_has_a_sentence_and_no_margins(kind: str, linear: bool) -> None:
     design = Kinked(kind=kind)
@@ -174,8 +174,8 @@ def test_margins_of_a_formulation_for_rankings() -> None:
 
 @pytest.mark.parametrize(("kind", "one"), [("none", True), ("absolute", False)])
 def test_a_cost_with_a_kink_is_no_quadratic_program(kind: str, one: bool) -> None:
-    """Its second derivatives are constant, but where the plan crosses e_y = 0 one QP is not all; a quadratic cost needs
-    no second one."""
+    """Its second derivatives are constant, but where the plan crosses e_y = 0.05 m one QP is not all; a quadratic cost
+    needs no second one."""
     law = Kinked(kind=kind).prepare(Plant.build(BicycleModel(), [25.0], 0.05))
     lane = np.zeros((1, law.preview_times.size))
     x = np.array([[0.1, -1.0, 0.0, 0.0]])

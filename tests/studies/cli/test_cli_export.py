@@ -111,7 +111,7 @@ def test_a_design_that_misses_a_requirement(folder: Path) -> None:
 
 
 def test_without_a_compiler(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ldctoolkit.studies.export.compiler", lambda: None)
+    monkeypatch.setattr("ldctoolkit.controllers.external.compiler", lambda: None)
     done = ldc("export", "plain", "-o", "made", "--fmu", cwd=folder)
     assert done.returncode == 4
     assert done.stdout.endswith(
