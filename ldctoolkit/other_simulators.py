@@ -53,7 +53,7 @@ class _Stretch(NamedTuple):
 
 def export_scenarios(
     scenarios: Scenarios, folder: str | Path, rows: bool | npt.ArrayLike, outcome: Outcome | None, setup: Setup | None,
-    reference: str, format: str,
+    reference: str, format: str, design: str = "",
 ) -> dict[Path, str]:  # fmt: skip
     """Write departures as `Scenarios.to_openscenario` says; each main file, and what it shows."""
     expect("folder", folder, str | Path)
@@ -65,7 +65,7 @@ def export_scenarios(
         raise InputError("outcome", f"of {outcome.S.size} scenarios", allowed=f"one of these {scenarios.n}")
     folder, setup, chosen = Path(folder), setup or Setup(), path_rows(rows, scenarios.n, "rows")
     x_ref = -setup.vehicle.l_r if reference == "rear_axle" else 0.0
-    numbers = [] if chosen is None else chosen.tolist()
+    numbers, control = [] if chosen is None else chosen.tolist(), f"control by {design}" if design else "control"
     try:
         library: Any = importlib.import_module("scenariogeneration") if format == "openscenario" else None
     except ImportError:
@@ -79,7 +79,7 @@ def export_scenarios(
         status = EventStatus.OK if outcome is None else EventStatus(int(outcome.status[row]))
         about = f"{'left' if scenarios.side[row] == LEFT else 'right'}, positions of the {reference.replace('_', ' ')}"
         about = f"departure {scenarios.index[row]} to the {about}, {parts[0].t[0]:.4g} to {parts[-1].t[-1]:.4g} s, "
-        about += f"control from {parts[-1].t[0]:.4g} s" if parts[-1].event == "trigger" else "recorded path"
+        about += f"{control} from {parts[-1].t[0]:.4g} s" if parts[-1].event == "trigger" else "recorded path"
         about += f": {status.name.lower().replace('_', ' ')}" if status else ""
         about += ", the path ends there" if status == EventStatus.DIVERGED else ""
         file = folder / f"departure-{scenarios.index[row]:06d}.{'xosc' if library else 'csv'}"
