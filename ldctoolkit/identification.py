@@ -60,7 +60,14 @@ class Estimate(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Identification:
-    """Actuator and vehicle as identified from a log; `identify` has an example."""
+    """Actuator and vehicle as identified from a log.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> identify({"t": np.arange(9.0), "speed": np.full(9, 20.0)})["lag"].reason
+    'the log has no steering_command and no steering'
+    """
 
     estimates: tuple[Estimate, ...]
     notes: tuple[str, ...]  # How well the models fit, and what was left out
