@@ -1,7 +1,7 @@
 """Controllers from outside of the toolkit: an FMU, or C code with the interface of ``ldc export``.
 
-Both are shown every departure as one to the left, positive to the left (ISO 8855), and hold one instance a scenario.
-Each file makes a class of its own, known by the file's content: where the file lies decides no number.
+Every departure is presented as a departure to the left, in ISO 8855 signs, and each scenario has its instance. Each
+file makes a class that is identified by the content of the file, not by its path.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _FAILED, _BEYOND_DELTA_MAX = 1 | 2 | 4 | 16, 8  # Bits of ``status``, as in the 
 
 @dataclasses.dataclass(frozen=True)
 class FileContent:
-    """A file by its content. What this program has of it, as its path, is no field: it decides no identity."""
+    """A file, identified by its content; `held`, as its path, is not a field and does not change the identity."""
 
     digest: str
     held: dataclasses.InitVar[Any]
@@ -49,7 +49,7 @@ class FileContent:
         object.__setattr__(self, "_held", held)
 
     def __call__(self) -> Any:
-        """What this program has of it."""
+        """The path of the file, or what was compiled from it."""
         return vars(self)["_held"]
 
 
@@ -110,14 +110,13 @@ class ExternalController(Controller):
     batch: ClassVar[int] = 50
 
     def prepare(self, plant: Plant) -> ExternalLaw:
-        """Check the step; instances are made when they are first used."""
+        """Check the step; instances are made at their first use."""
         step = self.communication_step or plant.dt
         parts = round(plant.dt / step)
         if parts < 1 or abs(parts * step - plant.dt) > 1e-9 * plant.dt:
             allowed = f"the sample time of the loop, {plant.dt:g} s, or a whole fraction of it"
             raise InputError(f"{self.name}.step", value=step, allowed=allowed)
-        edge = plant.model.parameters.edge_offset
-        return self.law(self, plant.v, edge, plant.age, plant.dt, parts, np.arange(plant.n))
+        return self.law(self, plant, parts, np.arange(plant.n))
 
 
 def design_of(base: dict[str, Any], path: Path, kind: str, name: str, gains: Iterable[Any] = ()) -> Controller:
@@ -126,7 +125,7 @@ def design_of(base: dict[str, Any], path: Path, kind: str, name: str, gains: Ite
     if not isinstance(name, str) or not re.fullmatch(r"\w+", name):
         raise InputError("name", value=name, allowed="letters, digits and '_'")
     title = f"{name.replace('_', ' ').capitalize()} ({kind})"
-    # in no module that can be imported: it is sent by value, and known by what it holds
+    # not importable: the class is pickled by value and identified by its content
     names = {"name": name, "title": title, "__doc__": f"{title}.", "__module__": "external_controllers", **base}
     made = dataclasses.make_dataclass(name, gains, bases=(ExternalController,), namespace=names, frozen=True)
     return made()  # type: ignore[no-any-return]
@@ -137,17 +136,14 @@ class ExternalLaw(SteeringLaw):
     """An external controller of n scenarios; a state is empty before the first step."""
 
     design: ExternalController
-    v: FloatArray  # (n,) [m/s]
-    edge: float  # [m] Offset of the vehicle's centre when its edge is on the line
-    age: float  # [s] Of the state that is seen
-    dt: float
+    plant: Plant
     parts: int  # Communication steps of a sample
-    rows: IntArray  # (n,) Instances
+    rows: IntArray  # (n,) Scenarios of the plant, and instances
 
     @functools.cached_property
     def _signals(self) -> list[tuple[str, float]]:
         signals = [signal_of(name, "") for name, _ in self.design.inputs]
-        return [("curvature", -self.age) if base == "curvature_seen" else (base, time) for base, time in signals]
+        return [("curvature", -self.plant.age) if base == "curvature_seen" else (base, time) for base, time in signals]
 
     @functools.cached_property
     def preview_times(self) -> FloatArray:
@@ -159,19 +155,20 @@ class ExternalLaw(SteeringLaw):
         return ()
 
     def _commands(self, shown: FloatArray, state: Any) -> tuple[FloatArray, npt.NDArray[Any], Any]:
-        """Commands, bits of status and the state after, for inputs (n, i)."""
+        """Commands, status bits and the next state for inputs (n, i)."""
         raise NotImplementedError
 
     def step(
         self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: Any
     ) -> tuple[FloatArray, Any, Any]:
-        """The controller's commands for what it is shown."""
-        line, wheel, frame = x[:, 0] - self.edge, preview.wheel, preview.frame
-        if frame is None or not len(state):  # a filter that begins with the state it is shown, or that needs none
+        """Commands for the signals at this sample."""
+        v, edge = self.plant.v[self.rows], self.plant.model.parameters.edge_offset
+        line, wheel, frame = x[:, 0] - edge, preview.wheel, preview.frame
+        if frame is None or not len(state):  # a filter in the controller starts from the state
             frame = x[:, (0, 2)]
         now = dict(zip(STATE, x.T, strict=True)) | {
-            "v": self.v, "wheel": delta_prev if wheel is None else wheel, "delta_prev": delta_prev, "t": t,
-            "line_left": line, "line_right": -x[:, 0] - self.edge, "line_rate": x[:, 1], "engage": np.ones(t.size),
+            "v": v, "wheel": delta_prev if wheel is None else wheel, "delta_prev": delta_prev, "t": t,
+            "line_left": line, "line_right": -x[:, 0] - edge, "line_rate": x[:, 1], "engage": np.ones(t.size),
             "takeover": line if len(state) else np.full(t.size, _BEYOND), "frame_new": np.isfinite(frame[:, 0]),
             "frame_e_y": np.nan_to_num(frame[:, 0]), "frame_e_psi": np.nan_to_num(frame[:, 1]),
         }  # fmt: skip
@@ -180,7 +177,7 @@ class ExternalLaw(SteeringLaw):
             if base in _LANE:
                 j = int(np.searchsorted(self.preview_times, time))
                 ahead = preview.heading[:, j] if base == "heading" else preview.yaw_rate[:, j]
-                shown[:, i] = ahead / self.v if base == "curvature" else ahead
+                shown[:, i] = ahead / v if base == "curvature" else ahead
             else:
                 shown[:, i] = now[base]
         delta, bits, after = self._commands(shown, state)
@@ -189,7 +186,7 @@ class ExternalLaw(SteeringLaw):
         return delta, after, np.where(failed, EventStatus.SOLVER_FAILED, beyond).astype(np.int8)
 
     def _of(self, rows: IntArray) -> Any:
-        return dataclasses.replace(self, v=self.v[rows], rows=self.rows[rows])
+        return dataclasses.replace(self, rows=self.rows[rows])
 
 
 # ------------------------------------------------------------------------------------------------ C code
@@ -205,7 +202,7 @@ def compiler() -> list[str] | None:
 
 
 def compile_c(command: Sequence[str], folder: Path, *arguments: str, text: str = "") -> str:
-    """Run the compiler in a folder, on a `text` where it is asked for; raises `LdcError` with its first error."""
+    """Run the compiler in a folder, with `text` as standard input; raises `LdcError` with its first error."""
     done = subprocess.run([*command, *arguments], cwd=folder, capture_output=True, text=True, check=False, input=text)
     if done.returncode:
         lines = done.stderr.strip().splitlines() or ["no message"]
@@ -214,7 +211,7 @@ def compile_c(command: Sequence[str], folder: Path, *arguments: str, text: str =
 
 
 class _Library:
-    """A C controller as this process has it."""
+    """A C controller, loaded."""
 
     def __init__(self, file: FileContent) -> None:
         import cffi
@@ -304,8 +301,8 @@ def CLaw(path: str | Path, *, name: str = "") -> Controller:
     path, command = Path(path), compiler()
     folder = path if path.is_dir() else path.parent
     files = sorted(file for file in folder.glob("*.c") if file.name != "main.c") if path.is_dir() else [path]
-    if not files:
-        raise InputError(path, "has no C source", allowed="a folder that ldc export wrote, a C source or a library")
+    if not files or files[0].suffix not in (".c", ".so", ".dylib", ".dll"):
+        raise InputError(path, "is no C code", allowed="a folder that ldc export wrote, a C source or a library")
     contents, header = [read_file(file) for file in files], read_file(folder / HEADER)
     if command is None:
         raise LdcError("cc", "is not installed, and C code needs it", hint='pip install "ldctoolkit[export]"')

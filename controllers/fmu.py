@@ -1,7 +1,7 @@
 """FMUs of FMI 2.0 and 3.0 for co-simulation as controllers and as vehicles, one instance a scenario.
 
-A thread holds one pool of instances for each FMU. Who begins a run takes them over and starts them anew; a controller
-whose instances went elsewhere meanwhile brings them back by showing them all that they were shown.
+A thread holds one pool of instances for each FMU. A run that begins resets them. A law whose instances were reset by
+another run restores their state by replaying all earlier inputs.
 """
 
 from __future__ import annotations
@@ -59,12 +59,11 @@ _PYTHON: Final = {"Boolean": bool} | dict.fromkeys(_REALS, float)  # int for the
 
 
 class _Fmu:
-    """An FMU as a thread of this process has it: its description and its instances."""
+    """The description and the instances of an FMU, for one thread."""
 
     def __init__(self, content: bytes, path: Path) -> None:
         fmpy, allowed = _fmpy(), "an FMU of FMI 2.0 or 3.0 for co-simulation"
-        self.path, self.content, self.instances, self.works = path, content, list[_Instance](), False
-        self._calls: dict[tuple[str, ...], list[tuple[str, list[int], list[int]]]] = {}
+        self.path, self.content, self.instances = path, content, list[_Instance]()
         try:
             self.description = fmpy.read_model_description(io.BytesIO(content), validate=False)
             platforms = [name for name in fmpy.supported_platforms(io.BytesIO(content)) if name != "c-code"]
@@ -78,11 +77,12 @@ class _Fmu:
             problem = f"has binaries for {', '.join(platforms) or 'no platform'}"
             raise InputError(path, problem, allowed=f"one for this platform, {fmpy.platform}")
         self.variables = {variable.name: variable for variable in self.description.modelVariables}
+        self.units = {unit.name: unit.baseUnit for unit in self.description.unitDefinitions}
 
     def named(self, causality: str) -> list[str]:
         return [name for name, variable in self.variables.items() if variable.causality == causality]
 
-    def check(self, name: Any, causality: str, types: Collection[str], path: str) -> Any:
+    def check(self, name: Any, causality: str, types: Collection[str], path: str, *, si: bool = True) -> Any:
         """A variable by its name; raises where it cannot be used."""
         path, variable = f"{self.path.name}: {path}", self.variables.get(name) if isinstance(name, str) else None
         if variable is None:
@@ -93,17 +93,20 @@ class _Fmu:
         if variable.type not in types or variable.dimensions:
             problem = f"is {'an array' if variable.dimensions else 'a scalar'} of {variable.type}"
             raise InputError(path, problem, value=name, allowed=f"a scalar of {', '.join(types)}")
+        unit = variable.unit or getattr(variable.declaredType, "unit", None) or ""
+        base = self.units.get(unit)  # a unit needs no definition
+        if si and (base.factor != 1.0 or base.offset if base else re.search(r"deg|°|km|mm|^g$", unit)):
+            raise InputError(path, f"has the unit {unit!r}", value=name, allowed="m, rad, s and what follows from them")
         return variable
 
+    @functools.cache  # noqa: B019  # it lives as long as its thread
     def calls(self, names: tuple[str, ...]) -> list[tuple[str, list[int], list[int]]]:
         """The calls that set or get variables: type, value references, places among the names."""
-        if names not in self._calls:
-            whole = "Integer" if self.version == "2" else "Int64"
-            variables, places = [self.variables[name] for name in names], dict[str, list[int]]()
-            for place, variable in enumerate(variables):
-                places.setdefault(variable.type.replace("Enumeration", whole), []).append(place)
-            self._calls[names] = [(k, [variables[i].valueReference for i in rows], rows) for k, rows in places.items()]
-        return self._calls[names]
+        whole = "Integer" if self.version == "2" else "Int64"
+        variables, places = [self.variables[name] for name in names], dict[str, list[int]]()
+        for place, variable in enumerate(variables):
+            places.setdefault(variable.type.replace("Enumeration", whole), []).append(place)
+        return [(kind, [variables[i].valueReference for i in rows], rows) for kind, rows in places.items()]
 
     @functools.cached_property
     def binary(self) -> Any:
@@ -118,8 +121,8 @@ class _Fmu:
         except Exception as error:  # fmpy raises this class
             raise LdcError(self.path, f"cannot be loaded: {first_line(error)}") from None
 
-    def some(self, rows: Iterable[int]) -> list[_Instance]:
-        """Instances of this thread, which all designs and runs share: who begins anew takes them over."""
+    def take_instances(self, rows: Iterable[int]) -> list[_Instance]:
+        """The instances with these numbers; all designs and runs of the thread share them."""
         count = max(rows := list(rows), default=-1) + 1
         if count > 1 and self.kind.canBeInstantiatedOnlyOncePerProcess:
             raise InputError(self.path, "can be instantiated only once in a process", allowed="one scenario at a time")
@@ -133,7 +136,7 @@ class _Instance:
 
     def __init__(self, fmu: _Fmu) -> None:
         self.fmu, self.slave, self.reason, self.failed = fmu, copy.copy(fmu.binary), "", ""
-        self.after: object = None  # The state of the law, or the step, that it is in; None: not started
+        self.after: object = None  # Identifies the state that the instance is in; None before the first start
         self._instantiate()
 
     def _log(self, *what: Any) -> None:
@@ -154,7 +157,7 @@ class _Instance:
             getattr(self.slave, f"set{kind}")(references, [python(values[place]) for place in places])
 
     def start(self, names: tuple[str, ...], values: Sequence[Any]) -> None:
-        """Begin anew with other start values."""
+        """Reset, and initialize with start values."""
         self.failed, slave = "", self.slave
         if self.after is not None:
             try:
@@ -174,7 +177,7 @@ class _Instance:
         self._attempt(begin)
 
     def advance(self, shown: Mapping[str, float], outputs: tuple[str, ...], *steps: float) -> list[float]:
-        """Outputs after steps, start and length of each, with held inputs; NaN from a failure to the next start."""
+        """Outputs after `steps` (start, length, start, ...) with constant inputs; NaN after a failure until a reset."""
         values = [np.nan] * len(outputs)
 
         def work() -> None:
@@ -201,45 +204,46 @@ class _Instance:
 
 
 _here: Final = threading.local()
+_STEP: Final = Gain(name="step", default=0.01, unit="s", above=0.0)
 
 
-def _fmu_of(file: FileContent, content: bytes = b"") -> _Fmu:
+def _fmu_of(file: FileContent) -> _Fmu:
     """The FMU in this thread."""
     known: dict[str, _Fmu] = vars(_here).setdefault("fmus", {})
     if file.digest not in known:
-        path, content = file(), content or read_file(file())
+        content = read_file(path := file())
         if content_digest(content) != file.digest:
-            raise InputError(path, "is not the file any more that this was made of", hint="make it anew")
+            raise InputError(path, "has changed since the law or vehicle was made", hint="make it again")
         known[file.digest] = _Fmu(content, path)
     return known[file.digest]
 
 
 @dataclasses.dataclass(frozen=True)
 class _FmuSteering(ExternalLaw):
-    """Its state is all that was shown: an instance that went elsewhere is brought back by showing it again."""
+    """Its state is the sequence of all inputs, which restores an instance that another run has reset."""
 
     def _commands(self, shown: FloatArray, state: Any) -> tuple[FloatArray, npt.NDArray[Any], Any]:
         design, n, k, after = self.design, shown.shape[0], len(state), (*state, shown)
-        fmu, step = _fmu_of(design.file), self.dt / self.parts
+        fmu, dt = _fmu_of(design.file), self.plant.dt
         inputs, settings = [name for _, name in design.inputs], [getattr(design, gain.name) for gain in design.gains()]
-        answers, instances = np.zeros((n, 2)), fmu.some(self.rows.tolist())
+        step = dt / self.parts
+        answers, instances = np.zeros((n, 2)), fmu.take_instances(self.rows.tolist())
         for i, instance in enumerate(instances):
             begin = k if k and instance.after is state else 0
             if begin == 0:
                 instance.start(design.settings, settings)
             for sample in range(begin, k + 1):
                 values = dict(zip(inputs, after[sample][i].tolist(), strict=True))
-                steps = [x for part in range(self.parts) for x in (sample * self.dt + part * step, step)]
+                steps = [x for part in range(self.parts) for x in (sample * dt + part * step, step)]
                 answer = instance.advance(values, design.outputs, *steps)
             answers[i, : len(answer)], instance.after = answer, after
-        fmu.works |= any(not instance.failed for instance in instances)
-        if n and not fmu.works:
+        if n and k == 0 and all(instance.failed for instance in instances):
             raise LdcError(fmu.path.name, f"fails in its first step: {instances[0].failed}")
         return answers[:, 0].copy(), np.nan_to_num(answers[:, 1]).astype(np.int64), after
 
     def take(self, rows: IntArray, state: Any) -> tuple[SteeringLaw, Any]:
         law, part = self._of(rows), tuple(shown[rows] for shown in state)
-        for instance in _fmu_of(self.design.file).some(law.rows.tolist()):
+        for instance in _fmu_of(self.design.file).take_instances(law.rows.tolist()):
             instance.after = part if instance.after is state else instance.after
         return law, part
 
@@ -250,12 +254,12 @@ def FmuLaw(
     *,
     output: str = "delta",
     step: float | None = None,
-    parameters: Mapping[str, float] | Iterable[str] = (),
+    parameters: Mapping[str, float] | Sequence[str] = (),
     name: str = "",
 ) -> Controller:
     """Make a design of a controller that is an FMU of FMI 2.0 or 3.0 for co-simulation.
 
-    A step that fails and a command that is no number count as a failed solve. Raises `InputError` for a file, variable
+    A step that fails and a command that is not finite count as a failed solve. Raises `InputError` for a file, variable
     or value that cannot be used, `UnknownNameError` for names that do not exist, `LdcError` without fmpy.
 
     Parameters
@@ -269,7 +273,7 @@ def FmuLaw(
         Output that is the command [rad], positive to the left.
     step : float [s], optional
         Communication step, a whole fraction of the sample time, which is the default.
-    parameters : mapping or iterable of str
+    parameters : mapping or sequence of str
         Parameters that become gains, with values, or with the start values of the FMU.
     name : str
         Name of the law; by default that of the file.
@@ -283,12 +287,11 @@ def FmuLaw(
     ldctoolkit.errors.InputError: missing.fmu: cannot be read: No such file or directory
     """
     expect("inputs", inputs, Mapping | None)
-    content = read_file(file)
-    path = Path(file).absolute()
-    held = FileContent(content_digest(content), path)
-    fmu, outputs = _fmu_of(held, content), [output]
+    expect("parameters", parameters, Mapping | list | tuple)
+    held = FileContent(content_digest(read_file(file)), path := Path(file).absolute())
+    fmu, outputs = _fmu_of(held), [output]
     if inputs is None:
-        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        with zipfile.ZipFile(io.BytesIO(fmu.content)) as packed:
             source = f"sources/{HEADER}"
             header = packed.read(source).decode() if source in packed.namelist() else ""
         pairs = [*exported_signals(fmu.named("input"), header, path.name)]
@@ -301,13 +304,12 @@ def FmuLaw(
     fmu.check(output, "output", _REALS, "output")
     for status in outputs[1:]:
         fmu.check(status, "output", _WHOLE, "status")
-    if step is not None:
-        step = Gain(name="step", default=0.05, unit="s", above=0.0).check(step)
     named = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
-    gains = [_gain(fmu.check(key, "parameter", _NUMBERS, "parameters"), value) for key, value in named.items()]
+    variables = [fmu.check(key, "parameter", _NUMBERS, "parameters", si=False) for key in named]
+    gains = [*map(_gain, variables, named.values())]
     base = {
         "law": _FmuSteering, "file": held, "inputs": tuple(pairs), "outputs": tuple(outputs),
-        "settings": tuple(named), "communication_step": step,
+        "settings": tuple(named), "communication_step": None if step is None else _STEP.check(step),
         "batch": 1 if fmu.kind.canBeInstantiatedOnlyOncePerProcess else ExternalController.batch,
     }  # fmt: skip
     return design_of(base, path, "FMU", name, gains)
@@ -344,11 +346,11 @@ class FmuVehicle(VehicleModel):
         Signals and the inputs that are shown them: delta [rad], v [m/s], v_rate [m/s^2], and of the lane
         lane_yaw_rate [rad/s] and curvature [1/m].
     outputs : mapping
-        States and the outputs that they are: a_y [m/s^2], and either v_y [m/s] and yaw_rate [rad/s] of the vehicle, or
+        States and the outputs that hold them: a_y [m/s^2], and either v_y [m/s] and yaw_rate [rad/s] of the vehicle, or
         e_y, e_y_rate, e_psi and e_psi_rate; any others beside them.
     start : mapping
-        Signals, or e_y, e_y_rate, e_psi, e_psi_rate, v_y and yaw_rate, and the parameters of the FMU that are them at
-        the takeover.
+        Signals, or e_y, e_y_rate, e_psi, e_psi_rate, v_y and yaw_rate, and the parameters of the FMU that are set to
+        their values at the takeover.
     step : float [s]
         Longest communication step.
 
@@ -368,9 +370,8 @@ class FmuVehicle(VehicleModel):
     step: float = 0.01
 
     def __post_init__(self, file: str | Path) -> None:
-        content = read_file(file)
-        held = FileContent(content_digest(content), Path(file).absolute())
-        fmu, moment = _fmu_of(held, content), ("delta", "v", "v_rate", "lane_yaw_rate", "curvature")
+        held = FileContent(content_digest(read_file(file)), Path(file).absolute())
+        fmu, moment = _fmu_of(held), ("delta", "v", "v_rate", "lane_yaw_rate", "curvature")
         known = {"inputs": moment, "start": (*moment, *STATE, "v_y", "yaw_rate"), "outputs": ()}
         for table, causality in (("inputs", "input"), ("outputs", "output"), ("start", "parameter")):
             expect(table, getattr(self, table), Mapping | tuple)
@@ -389,7 +390,7 @@ class FmuVehicle(VehicleModel):
         if not fmu.kind.canHandleVariableCommunicationStepSize:
             allowed = "canHandleVariableCommunicationStepSize"
             raise InputError(fmu.path, "has a fixed communication step", allowed=allowed)
-        object.__setattr__(self, "step", Gain(name="step", default=0.01, unit="s", above=0.0).check(self.step))
+        object.__setattr__(self, "step", _STEP.check(self.step))
         object.__setattr__(self, "_file", held)
         super().__post_init__()
 
@@ -424,7 +425,7 @@ class FmuVehicle(VehicleModel):
         values = {name: getattr(turn, name) for name in (*STATE, "delta", "v", "v_rate")}
         values |= {"v_y": self.v_y(turn, turn.v), "yaw_rate": turn.yaw_rate + turn.e_psi_rate}
         values |= {"lane_yaw_rate": turn.yaw_rate, "curvature": turn.yaw_rate / turn.v}
-        memory = fmu.some(range(m))
+        memory = fmu.take_instances(range(m))
         names = tuple(name for _, name in self.start)
         for i, instance in enumerate(memory):
             instance.start(names, [values[signal][i] for signal, _ in self.start])

@@ -464,12 +464,18 @@ def named_laws(
     if "law" not in table:
         return table
     laws, files, names, gains = table["law"], table.get("files", {}), list[Any](), dict[str, Any]()
+    listed = list(laws) if isinstance(laws, list | tuple) else [laws]
     stored = [place for name, place in files.items() if name not in classes] if isinstance(files, dict) else []
-    for law in [*stored, *(laws if isinstance(laws, list | tuple) else [laws])]:
+    for law in [*stored, *listed]:
         of_file = isinstance(law, str) and ".py:" in law
         given = from_file(path, law, folder, _LAW) if of_file else law
         if isinstance(given, Controller):
-            gains |= {gain.name: getattr(given, gain.name) for gain in given.gains()}
+            values = {gain.name: getattr(given, gain.name) for gain in given.gains()}
+            if len(listed) == 1:
+                gains |= values
+            elif values != {gain.name: gain.default for gain in given.gains()}:
+                problem, hint = "a design with changed gains in a list of laws", "write a design table for each law"
+                raise InputError(path, problem, value=given, allowed="names, classes, unchanged designs", hint=hint)
             given = type(given)
         if isinstance(given, type) and issubclass(given, Controller):
             if given.name not in controller_names() or controller_class(given.name) is not given:

@@ -6,6 +6,7 @@ import builtins
 import dataclasses
 import shutil
 import subprocess
+import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from ldctoolkit import Controller, EventStatus, Setup, registry, simulate
 from ldctoolkit.code_content import content_of
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
+from ldctoolkit.studies.design_space import named_laws
 from ldctoolkit.studies.export import export_c
 from ldctoolkit.testing import check_controller_contract
 
@@ -314,6 +316,31 @@ def test_an_fmu_that_fails_from_the_start(tmp_path: Path) -> None:
         simulate(ldc.FmuLaw(path, IN), SCENARIOS, y_s=0.1)
 
 
+def test_whether_an_fmu_fails_does_not_depend_on_designs_before(tmp_path: Path) -> None:
+    path = build(tmp_path / "w.fmu", VARIABLES, f"if (v[5] > -0.015) {{ return 3; }} {WEIGHTED} return 0;")
+    law = ldc.FmuLaw(path, IN, parameters=["k.1"])
+    assert (simulate(law, SCENARIOS, y_s=0.1).status != EventStatus.SOLVER_FAILED).all()
+    with refused("w.fmu", LdcError):
+        simulate(dataclasses.replace(law, k_1=-0.01), SCENARIOS, y_s=0.1)
+
+
+@pytest.mark.parametrize(("signal", "unit"), [("delta", "deg"), ("in1", "mm"), ("delta", "unnamed")])
+def test_units_that_are_not_si_are_refused(signal: str, unit: str, tmp_path: Path) -> None:
+    changed = [(*v[:3], f'{v[3]} unit="{unit}"' if v[0] == signal else v[3]) for v in VARIABLES]
+    path = build(tmp_path / "w.fmu", changed, "return 0;")
+    if unit == "unnamed":
+        ldc.FmuLaw(path, IN)
+        with zipfile.ZipFile(path) as packed:
+            files = {name: packed.read(name) for name in packed.namelist()}
+        units = b'<UnitDefinitions><Unit name="unnamed"><BaseUnit rad="1" factor="0.01"/></Unit></UnitDefinitions>'
+        text = files["modelDescription.xml"].replace(b"<ModelVariables>", units + b"<ModelVariables>")
+        with zipfile.ZipFile(path, "w") as packed:
+            for name, content in (files | {"modelDescription.xml": text}).items():
+                packed.writestr(name, content)
+    with refused(f"w.fmu: {'output' if signal == 'delta' else 'inputs.e_y'}", value=signal):
+        ldc.FmuLaw(path, IN)
+
+
 def test_an_fmu_that_cannot_be_reset_is_made_anew(tmp_path: Path) -> None:
     body = f"v[10] += h * v[0]; {WEIGHTED} v[4] -= 0.01 * v[10]; return 0;"
     laws = [
@@ -374,6 +401,10 @@ def test_laws_of_files_that_cannot_be_loaded(tmp_path: Path) -> None:
     for law in ("laws.py:other", "laws.py:nothing", "none.py:law"):
         with refused("study: design[0].law", StudyError):
             ldc.Study.from_dict({"name": "s", "design": [{"law": law}]}, folder=tmp_path)
+    for law in (ldc.LQR(r_delta=5e4), "laws.py:law"):  # its gain would be that of the other law too
+        with refused("design", InputError, value=ldc.LQR(r_delta=5e4)):
+            named_laws({"law": [law, ldc.LQI]}, {}, tmp_path)
+    assert named_laws({"law": [ldc.LQR(), ldc.LQI()]}, {}) == {"law": ["lqr", "lqi"]}
     study = ldc.Study.from_dict({"name": "s", "design": [{"law": "laws.py:law"}]}, folder=tmp_path)
     assert dict(study.designs[0].gains)["r_delta"] == 5e4
 
