@@ -49,27 +49,24 @@ WITH_VEHICLE: Final = {"understeer_gradient": "rad/(m/s^2)", "C_af": "N/rad", "C
 
 
 class Estimate(NamedTuple):
-    """A value that was identified, or the reason why the log does not tell it."""
+    """An identified value, or the reason why it is not identifiable."""
 
     name: str  # That of a field of `Actuator` or `VehicleParameters`, ``understeer_gradient`` or ``wheelbase``
     unit: str
-    value: float | None = None  # None where the log does not tell it
+    value: float | None = None  # None where it is not identifiable
     interval: tuple[float, float] | None = None  # Of 95 %
     reason: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
 class Identification:
-    """What a log tells of actuator and vehicle.
+    """Actuator and vehicle as identified from a log.
 
     Examples
     --------
     >>> import numpy as np
-    >>> t = np.arange(0.0, 60.0, 0.02)
-    >>> command, wheel = (0.02 * np.sign(np.sin(2.0 * (t - late))) for late in (0.0, 0.08))
-    >>> found = identify({"t": t, "steering_command": command, "steering": wheel})
-    >>> round(found["delay"].value, 2), found["rate_max"].reason[:13], found["understeer_gradient"].reason
-    (0.08, 'never reached', 'the log has no speed and no yaw_rate')
+    >>> identify({"t": np.arange(9.0), "speed": np.full(9, 20.0)})["lag"].reason
+    'the log has no steering_command and no steering'
     """
 
     estimates: tuple[Estimate, ...]
@@ -84,11 +81,11 @@ class Identification:
 
     def _fields(self, owner: type) -> dict[str, float]:
         names = {field.name for field in dataclasses.fields(owner)}
-        return {one.name: one.value for one in self.estimates if one.name in names and one.value is not None}
+        return {name: value for name, _, value, *_ in self.estimates if name in names and value is not None}
 
     @property
     def actuator(self) -> Actuator:
-        """The actuator, with the defaults for what the log does not tell."""
+        """The actuator, with the defaults for what is not identifiable."""
         return Actuator(**self._fields(Actuator))
 
     @property
@@ -113,9 +110,9 @@ def identify(
     """Identify actuator and vehicle from a log.
 
     Lag, delay and rate limit of the actuator come from commanded and measured wheel angle, the understeer gradient and
-    the yaw response from speed, wheel angle and yaw rate; with a `vehicle`, whose mass and axle distances no log tells,
-    also cornering stiffnesses and yaw inertia. Offsets of the sensors are fitted, too. What the log does not tell is
-    refused, value by value. Raises `InputError` for what is no log, `RecordingError` as `read_recordings`.
+    the yaw response from speed, wheel angle and yaw rate; with the mass and axle distances of a `vehicle` also
+    cornering stiffnesses and yaw inertia. Offsets of the sensors are fitted, too. What is not identifiable is refused,
+    value by value. Raises `InputError` for what is no log, `RecordingError` as `read_recordings`.
 
     Parameters
     ----------
@@ -134,8 +131,9 @@ def identify(
     >>> import numpy as np
     >>> t = np.arange(0.0, 60.0, 0.02)
     >>> command, wheel = (0.02 * np.sign(np.sin(2.0 * (t - late))) for late in (0.0, 0.08))
-    >>> identify({"t": t, "steering_command": command, "steering": wheel}).actuator.delay > 0.07
-    True
+    >>> result = identify({"t": t, "steering_command": command, "steering": wheel})
+    >>> round(result.actuator.delay, 2), result["rate_max"].reason[:13], result["understeer_gradient"].reason
+    (0.08, 'never reached', 'the log has no speed and no yaw_rate')
     """
     expect("vehicle", vehicle, VehicleParameters | None)
     ratio = checked_number("steering_ratio", steering_ratio, above=0.0)
@@ -144,18 +142,18 @@ def identify(
     single_track = None
     try:
         actuator = _actuator(_Samples.of(recordings, ("steering_command", "steering"), ratio), notes)
-    except _UntoldError as error:
+    except _NotIdentifiableError as error:
         actuator = _refused(ACTUATOR, error.problem)
     try:
         samples = _Samples.of(recordings, ("speed", "steering", "yaw_rate"), ratio)
         dynamics, single_track = _dynamics(samples, vehicle, notes)
-    except _UntoldError as error:
+    except _NotIdentifiableError as error:
         dynamics = _refused(WITHOUT_VEHICLE if vehicle is None else WITH_VEHICLE, error.problem)
     return Identification((*actuator, *dynamics), tuple(notes), vehicle, single_track)
 
 
-class _UntoldError(InputError):
-    """Why a log does not tell the values of a model; its `problem` says it."""
+class _NotIdentifiableError(InputError):
+    """The parameters of a model are not identifiable; `problem` is the reason."""
 
 
 def _refused(units: dict[str, str], reason: str) -> list[Estimate]:
@@ -199,16 +197,18 @@ class _Samples(NamedTuple):
         parts: list[FloatArray] = [np.empty((len(names) + 2, 0))]
         absent = {*names}
         for number, recording in enumerate(recordings):
-            one = without_codes(recording, names)
-            columns = {name: x for name in names if (x := getattr(one, name)) is not None and np.isfinite(x).any()}
+            cleaned = without_codes(recording, names)
+            columns = {name: x for name in names if (x := getattr(cleaned, name)) is not None and np.isfinite(x).any()}
             absent -= {*columns}
             if len(columns) == len(names):
-                if "steering_command" in names and one.engaged is not None:
-                    columns["steering_command"] = np.where(one.engaged, columns["steering_command"], np.nan)
-                cuts = np.zeros(one.samples) if one.cut is None else np.cumsum(one.cut, dtype=np.float64)
-                parts.append(np.stack([one.t, number + cuts / (one.samples + 1.0), *columns.values()]))
+                if "steering_command" in names and cleaned.engaged is not None:
+                    columns["steering_command"] = np.where(cleaned.engaged, columns["steering_command"], np.nan)
+                cuts = np.zeros(cleaned.samples) if cleaned.cut is None else np.cumsum(cleaned.cut, dtype=np.float64)
+                parts.append(np.stack([cleaned.t, number + cuts / (cleaned.samples + 1.0), *columns.values()]))
         if absent:
-            raise _UntoldError(problem=f"the log has no {' and no '.join(name for name in names if name in absent)}")
+            raise _NotIdentifiableError(
+                problem=f"the log has no {' and no '.join(name for name in names if name in absent)}"
+            )
         table = np.concatenate(parts, axis=1)
         table[2:][np.abs(table[2:]) >= LARGEST] = np.nan
         table = table[:, np.isfinite(table[2:-1]).all(axis=0) & ((names[0] != "speed") | (table[2] > SLOWEST))]
@@ -222,11 +222,11 @@ class _Samples(NamedTuple):
         if (count := np.count_nonzero(use)) < FEWEST:
             slow = f", at more than {SLOWEST:g} m/s" if names[0] == "speed" else ""
             what = f"{count} samples have {', '.join(names)}, {SETTLING:g} s or more behind a gap{slow}"
-            raise _UntoldError(problem=f"{what}; needed: {FEWEST}")
+            raise _NotIdentifiableError(problem=f"{what}; needed: {FEWEST}")
         values[-1] = np.interp(np.arange(t.size), np.flatnonzero(good), values[-1][good])
         for i, name in enumerate(names):
             if name != "speed" and np.ptp(values[i][use]) == 0.0:
-                raise _UntoldError(problem=f"{name} never moves")
+                raise _NotIdentifiableError(problem=f"{name} is constant")
             values[i] = np.asarray(values[i] / ratio) if name.startswith("steering") else values[i]
         return cls(t, new, use, dt, values)
 
@@ -311,22 +311,24 @@ def _fit(
     n = measured.size
     for row in starts:
         start = min(row, key=lambda x: float(np.sum(residual_of(x) ** 2)))
-        found = scipy.optimize.least_squares(
+        fit = scipy.optimize.least_squares(
             residual_of, start, "3-point", bounds, x_scale="jac", max_nfev=60, xtol=1e-7, ftol=1e-9
         )
-        if found.status > 0 and (best is None or found.cost < best.cost * (1.0 - 10.0 / n)):
-            best = found
+        if fit.status > 0 and (best is None or fit.cost < best.cost * (1.0 - 10.0 / n)):
+            best = fit
     explained = 0.0 if best is None else max(1.0 - 2.0 * best.cost / (n * np.var(measured)), 0.0)
     if explained < LEAST_EXPLAINED:
-        raise _UntoldError(problem=f"no model explains more than {explained:.0%} of it; another channel, unit or sign?")
+        raise _NotIdentifiableError(
+            problem=f"no model explains more than {explained:.0%} of it; another channel, unit or sign?"
+        )
     x = best.x
     gradients = np.array([np.subtract(derived(x + h), derived(x - h)) / 2e-5 for h in 1e-5 * np.eye(x.size)]).T
     scale = np.linalg.norm(best.jac, axis=0)
     scale[scale == 0.0] = 1.0
-    left, size, right = np.linalg.svd(best.jac / scale, full_matrices=False)
-    keep, toward = size > 1e-6 * size[0], (gradients / scale) @ right.T
-    lost = (np.abs(toward[:, ~keep]) > 1e-3 * np.linalg.norm(toward, axis=1, keepdims=True)).any(axis=1)
-    influence = (toward[:, keep] / size[keep]) @ left[:, keep].T  # (q, n) of the residuals on each quantity
+    U, s, Vt = np.linalg.svd(best.jac / scale, full_matrices=False)
+    keep, projected = s > 1e-6 * s[0], (gradients / scale) @ Vt.T
+    unobservable = (np.abs(projected[:, ~keep]) > 1e-3 * np.linalg.norm(projected, axis=1, keepdims=True)).any(axis=1)
+    influence = (projected[:, keep] / s[keep]) @ U[:, keep].T  # (q, n) of the residuals on each quantity
 
     def products(series: FloatArray, lags: int) -> FloatArray:
         """Sums of products of a series with itself, later by 0 to `lags` samples."""
@@ -337,15 +339,17 @@ def _fit(
     window = 2.0 * covariance[: lags + 1] * (1.0 - np.arange(lags + 1) / (lags + 1.0))
     window[0] *= 0.5
     estimates = []
-    for (name, unit), value, gone, weights in zip(units.items(), map(float, derived(x)), lost, influence, strict=True):
+    for (name, unit), value, singular, weights in zip(
+        units.items(), map(float, derived(x)), unobservable, influence, strict=True
+    ):
         value = max(value, 0.0) if name in ACTUATOR else value
-        half = np.inf if gone else QUANTILE * float(np.sqrt(max(window @ products(weights, lags), 0.0)))
+        half = np.inf if singular else QUANTILE * float(np.sqrt(max(window @ products(weights, lags), 0.0)))
         if half <= 0.5 * abs(value) + FLOORS.get(name, 0.0):
             low = max(value - half, 0.0) if name in ACTUATOR else value - half
             estimates.append(Estimate(name, unit, value, (low, value + half)))
         else:
             width = f" (95 % interval: {value:.3g} +- {half:.2g} {unit})" if half < np.inf else ""
-            estimates.append(Estimate(name, unit, reason=f"the log does not tell it{width}"))
+            estimates.append(Estimate(name, unit, reason=f"not identifiable from this log{width}"))
     return x, estimates, f"the model explains {explained:.2%} of what was measured, in {n:,} samples"
 
 
@@ -358,8 +362,8 @@ def _actuator(samples: _Samples, notes: list[str]) -> list[Estimate]:
         wheel: FloatArray = _wheel(t, new, command, begin, lag, delay, np.exp(log_rate))
         return factor * wheel[use] + offset
 
-    ahead = max(1, round(0.1 / dt))
-    slope = np.quantile(np.abs((measured[ahead:] - measured[:-ahead]) / (t[ahead:] - t[:-ahead])), 0.99)
+    k = max(1, round(0.1 / dt))
+    slope = np.quantile(np.abs((measured[k:] - measured[:-k]) / (t[k:] - t[:-k])), 0.99)
     late = [(0.5 * IMMEDIATE, delay) for delay in np.arange(0.0, 1.0, dt)]
     grid = [(lag, delay) for delay in (0.01, 0.05, 0.15, 0.4) for lag in (0.02, 0.1, 0.4)]
     starts = [
@@ -373,12 +377,12 @@ def _actuator(samples: _Samples, notes: list[str]) -> list[Estimate]:
     )
     if abs(x[2] - 1.0) > 0.2:
         what = f"the measured angle is {x[2]:.3g} times the command"
-        raise _UntoldError(problem=f"{what}: another unit, ratio or sign?")
+        raise _NotIdentifiableError(problem=f"{what}: another unit, ratio or sign?")
     notes.append(f"actuator: {note}")
     if x[0] < dt:  # what happens between two samples is not seen
         lag, delay = (
-            Estimate(one.name, one.unit, time, (max(time - dt, 0.0), time + dt))
-            for one, time in zip((lag, delay), (float(time) if time > 1e-3 else 0.0 for time in x[:2]), strict=True)
+            Estimate(name, "s", time, (max(time - dt, 0.0), time + dt))
+            for name, time in zip(("lag", "delay"), np.where(x[:2] > 1e-3, x[:2], 0.0).tolist(), strict=True)
         )
     wheel = model(*x)
     if np.array_equal(wheel, model(*np.append(x[:4], np.log(UNLIMITED)))):
@@ -394,13 +398,9 @@ def _dynamics(
     t, new, use, dt, (v, delta, r) = samples
     linear = np.abs(v * r) <= LARGEST_A_Y
     beyond, use = np.count_nonzero(use & ~linear), use & linear
-    if np.count_nonzero(use) < FEWEST:
-        what = f"nearly all is above {LARGEST_A_Y:g} m/s^2, where tyres are not linear"
-        raise _UntoldError(problem=f"{what}; or is the yaw rate in another unit?")
-    with np.errstate(all="ignore"):  # of a perfect circle
-        turn = np.corrcoef(r[use] / v[use], delta[use])[0, 1]
-    if turn < -0.5:
-        raise _UntoldError(problem="the yaw rate turns against the wheel angle: one of them is positive to the right")
+    if np.count_nonzero(use) < max(FEWEST, int(beyond)):
+        what = f"most samples are above {LARGEST_A_Y:g} m/s^2, where tyres are not linear"
+        raise _NotIdentifiableError(problem=f"{what}; or is the speed or the yaw rate in another unit?")
 
     def single_track(x: FloatArray) -> tuple[float, ...]:
         # the yaw rate hardly shows where the centre of gravity is, and not at all at a dynamic index of 1
@@ -422,15 +422,15 @@ def _dynamics(
     x, estimates, note = _fit(model, r[use], [[start]], (low, high), units, derived)
     if not abs(gradient := derived(x)[0]) < LARGEST_GRADIENT:
         what = f"the understeer gradient would be {gradient:.2g} rad/(m/s^2)"
-        raise _UntoldError(problem=f"{what}: angles of the steering wheel (steering_ratio), or another unit?")
+        raise _NotIdentifiableError(problem=f"{what}: angles of the steering wheel (steering_ratio), or another unit?")
     notes.append(f"vehicle: {note}" + (f"; {beyond:,} above {LARGEST_A_Y:g} m/s^2 do not count" if beyond else ""))
-    ahead = max(1, round(0.25 / dt))
+    k = max(1, round(0.25 / dt))
     noise = 0.6 * float(np.median(np.abs(np.diff(delta, 2))))  # standard deviation, as second differences show it
     slow, fast = np.quantile(v[use], [0.02, 0.98])
     if vehicle is None and fast < 1.2 * slow:
         reason = f"the speed did not vary ({slow:.3g} to {fast:.3g} m/s); a vehicle with its axle distances is needed"
         estimates = _refused(units, reason)
-    elif vehicle is not None and np.std(delta[ahead:] - delta[:-ahead]) < 7.0 * noise:
-        reason = "the log does not tell it: within 0.25 s the wheel hardly moves by more than its noise"
+    elif vehicle is not None and np.std(delta[k:] - delta[:-k]) < 7.0 * noise:
+        reason = "not identifiable: within 0.25 s the wheel angle changes little more than by its noise"
         estimates = [estimates[0], *_refused(units, reason)[1:]]
     return estimates, single_track(x)

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.checked_files import write_whole
 from ldctoolkit.control import EventStatus
+from ldctoolkit.declared import checked_choice
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError, LdcError, expect
 from ldctoolkit.scenarios import Scenarios
@@ -52,27 +53,25 @@ class _Stretch(NamedTuple):
 
 def export_scenarios(
     scenarios: Scenarios, folder: str | Path, rows: bool | npt.ArrayLike, outcome: Outcome | None, setup: Setup | None,
-    reference: str, format: str,
+    reference: str, format: str, design: str = "",
 ) -> dict[Path, str]:  # fmt: skip
     """Write departures as `Scenarios.to_openscenario` says; each main file, and what it shows."""
     expect("folder", folder, str | Path)
     expect("setup", setup, Setup | None)
     expect("outcome", outcome, Outcome | None)
-    choices = ("reference", reference, ("centre_of_gravity", "rear_axle")), ("format", format, ("openscenario", "csv"))
-    for name, value, allowed in choices:
-        if value not in allowed:
-            raise InputError(name, value=value, allowed=allowed)
+    checked_choice("reference", reference, ("centre_of_gravity", "rear_axle"))
+    checked_choice("format", format, ("openscenario", "csv"))
     if outcome is not None and outcome.S.size != scenarios.n:
         raise InputError("outcome", f"of {outcome.S.size} scenarios", allowed=f"one of these {scenarios.n}")
     folder, setup, chosen = Path(folder), setup or Setup(), path_rows(rows, scenarios.n, "rows")
-    ahead = -setup.vehicle.l_r if reference == "rear_axle" else 0.0
-    numbers = [] if chosen is None else chosen.tolist()
+    x_ref = -setup.vehicle.l_r if reference == "rear_axle" else 0.0
+    numbers, control = [] if chosen is None else chosen.tolist(), f"control by {design}" if design else "control"
     try:
         library: Any = importlib.import_module("scenariogeneration") if format == "openscenario" else None
     except ImportError:
         hint = "pip install 'ldctoolkit[scenario]'"
-        raise LdcError("to_openscenario", "needs scenariogeneration, which is not installed", hint=hint) from None
-    departures = [_departure(scenarios.take([row]), row, setup, outcome, ahead) for row in numbers]
+        raise LdcError("to_openscenario", "scenariogeneration is not installed", hint=hint) from None
+    departures = [_departure(scenarios.take([row]), row, setup, outcome, x_ref) for row in numbers]
     written: dict[Path, str] = {}
     with contextlib.suppress(OSError):  # writing says so
         folder.mkdir(parents=True, exist_ok=True)
@@ -80,19 +79,19 @@ def export_scenarios(
         status = EventStatus.OK if outcome is None else EventStatus(int(outcome.status[row]))
         about = f"{'left' if scenarios.side[row] == LEFT else 'right'}, positions of the {reference.replace('_', ' ')}"
         about = f"departure {scenarios.index[row]} to the {about}, {parts[0].t[0]:.4g} to {parts[-1].t[-1]:.4g} s, "
-        about += f"control from {parts[-1].t[0]:.4g} s" if parts[-1].event == "trigger" else "recorded path"
+        about += f"{control} from {parts[-1].t[0]:.4g} s" if parts[-1].event == "trigger" else "recorded path"
         about += f": {status.name.lower().replace('_', ' ')}" if status else ""
         about += ", the path ends there" if status == EventStatus.DIVERGED else ""
         file = folder / f"departure-{scenarios.index[row]:06d}.{'xosc' if library else 'csv'}"
         if library:
             write_whole(file.with_suffix(".xodr"), _road(file.stem, parts, setup, library), LdcError)
-        content = _scenario(file.stem, about, parts, setup, ahead, library) if library else _table(parts)
+        content = _scenario(file.stem, about, parts, setup, x_ref, library) if library else _table(parts)
         write_whole(file, content, LdcError)
         written[file] = about
     return written
 
 
-def _departure(scenario: Scenarios, row: int, setup: Setup, outcome: Outcome | None, ahead: float) -> list[_Stretch]:
+def _departure(scenario: Scenarios, row: int, setup: Setup, outcome: Outcome | None, x_ref: float) -> list[_Stretch]:
     """The recorded path until the trigger, and the driven one from there on; or the recorded one alone."""
     over, known, parts = Takeover.build(scenario, setup, y_s=0.0), 0, []
     end = float(over.path.scenarios.T[0])
@@ -111,7 +110,7 @@ def _departure(scenario: Scenarios, row: int, setup: Setup, outcome: Outcome | N
     if end > _SHORTEST:
         t = np.linspace(0.0, end, 1 + math.ceil(end / _STEP))[None]
         columns = t, *over.recorded_motion(t), over.path.speed(t), over.path.curvature(t)
-        parts.append(_stretch("recorded", scenario, ahead, *(column[0] for column in columns), backwards=known > 0))
+        parts.append(_stretch("recorded", scenario, x_ref, *(column[0] for column in columns), backwards=known > 0))
     if known > 1:
         from scipy.interpolate import CubicHermiteSpline
 
@@ -121,14 +120,14 @@ def _departure(scenario: Scenarios, row: int, setup: Setup, outcome: Outcome | N
         spline = CubicHermiteSpline(sample[:known], x[:known, ::2], x[:known, 1::2])
         speed = path.speed(t[None])[0] if np.isnan(fixed) else np.full(t.size, fixed)
         delta, c = held[np.searchsorted(sample[:known], t, side="right") - 1], path.curvature(t[None])[0]
-        parts.append(_stretch("trigger", scenario, ahead, t, spline(t)[:, [0, 0, 1]], delta, speed, c))
+        parts.append(_stretch("trigger", scenario, x_ref, t, spline(t)[:, [0, 0, 1]], delta, speed, c))
     if not parts or not over.valid[0]:
         raise InputError("rows", "cannot be driven", value=row)
     return parts
 
 
 def _stretch(
-    event: str, scenario: Scenarios, ahead: float, t: FloatArray, state: FloatArray, delta: FloatArray, v: FloatArray,
+    event: str, scenario: Scenarios, x_ref: float, t: FloatArray, state: FloatArray, delta: FloatArray, v: FloatArray,
     curvature: FloatArray, *, backwards: bool = False,
 ) -> _Stretch:  # fmt: skip
     """A stretch whose lane starts at the origin, or ends there, from what is known in the outward frame."""
@@ -136,8 +135,8 @@ def _stretch(
     way = np.abs(t - t[order][0]), order.step * v, side * curvature
     lane = lane_centre(*(column[order][None] for column in way))[:, 0, order]
     e_y, heading = side * state[:, 0], lane[3] + side * state[:, 2]
-    x = lane[1] - e_y * np.sin(lane[3]) + ahead * np.cos(heading)
-    y = lane[2] + e_y * np.cos(lane[3]) + ahead * np.sin(heading)
+    x = lane[1] - e_y * np.sin(lane[3]) + x_ref * np.cos(heading)
+    y = lane[2] + e_y * np.cos(lane[3]) + x_ref * np.sin(heading)
     return _Stretch(event, t, lane, side * curvature, np.stack([x, y, heading]), v, side * delta)
 
 
@@ -192,14 +191,14 @@ def _road(name: str, parts: list[_Stretch], setup: Setup, library: Any) -> bytes
     return bytes(library.prettify(element))
 
 
-def _scenario(name: str, about: str, parts: list[_Stretch], setup: Setup, ahead: float, library: Any) -> bytes:
+def _scenario(name: str, about: str, parts: list[_Stretch], setup: Setup, x_ref: float, library: Any) -> bytes:
     """OpenSCENARIO 1.0, which every simulator reads that reads any: one vehicle, an event for each stretch."""
     xosc, car = library.xosc, setup.vehicle
     length, limits = car.l_f + car.l_r + _OVERHANG, (max(float(part.v.max()) for part in parts), *2 * [_ACCELERATION])
     about = f"ldctoolkit {__version__}: {about}; length {length:.3g} m is assumed"
-    box = xosc.BoundingBox(car.w_v, length, _HEIGHT, 0.5 * (car.l_f - car.l_r) - ahead, 0.0, 0.5 * _HEIGHT)
-    front = xosc.Axle(_STEERING, _WHEEL, car.w_v - _WHEEL / 3, car.l_f - ahead, 0.5 * _WHEEL)
-    rear = xosc.Axle(0.0, _WHEEL, car.w_v - _WHEEL / 3, -car.l_r - ahead, 0.5 * _WHEEL)
+    box = xosc.BoundingBox(car.w_v, length, _HEIGHT, 0.5 * (car.l_f - car.l_r) - x_ref, 0.0, 0.5 * _HEIGHT)
+    front = xosc.Axle(_STEERING, _WHEEL, car.w_v - _WHEEL / 3, car.l_f - x_ref, 0.5 * _WHEEL)
+    rear = xosc.Axle(0.0, _WHEEL, car.w_v - _WHEEL / 3, -car.l_r - x_ref, 0.5 * _WHEEL)
     entities, init, maneuver = xosc.Entities(), xosc.Init(), xosc.Maneuver("departure")
     entities.add_scenario_object("Ego", xosc.Vehicle("car", xosc.VehicleCategory.car, box, front, rear, *limits))
 

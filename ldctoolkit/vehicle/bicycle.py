@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import warnings
 from typing import ClassVar, Final, Literal, Protocol, get_args
 
@@ -185,7 +186,7 @@ class VehicleParameters(CheckedArguments):
         steering_ratio : float, optional
         yaw_inertia : float [kg m^2], optional
         rear_cornering_coefficient : float [1/rad], optional
-            Cornering stiffness of the rear axle over its load in newtons.
+            Cornering stiffness of the rear axle over its load in newtons, at most 100.
         width, lane_width : float [m], optional
 
         Examples
@@ -202,7 +203,8 @@ class VehicleParameters(CheckedArguments):
         given = {key: value for key, value in locals().items() if key in needed or value is not None}
         del given["cls"], given["needed"]
         for name, value in given.items():
-            given[name] = checked_number(f"data_sheet.{name}", value, above=-1.0 if "gradient" in name else 0.0)
+            least, most = -1.0 if "gradient" in name else 0.0, 100.0 if "coefficient" in name else math.inf
+            given[name] = checked_number(f"data_sheet.{name}", value, above=least, upper=most)
             if slip := unit_slip(f"data_sheet.{name}", given[name]):
                 warnings.warn(slip, UnitWarning, stacklevel=2)
         mass, wheelbase, gradient = (given[name] for name in needed)
@@ -214,12 +216,12 @@ class VehicleParameters(CheckedArguments):
             if not 0.2 <= share <= 0.8:
                 what = "kg on the axle, or its share of the mass, from 0.2 to 0.8"
                 raise InputError(f"data_sheet.{name}", f"of {mass:g} kg", value=loads[name], allowed=what)
-        total = sum(shares.values())
-        if len(shares) == 2 and abs(total - 1.0) > LOADS_AGREE + 1e-9:
+        total = sum(shares.values()) if len(shares) == 2 else 1.0
+        if abs(total - 1.0) > LOADS_AGREE + 1e-9:
             problem = f"and front_load add up to {total * mass:g} kg"
             allowed = f"the mass, {mass:g} kg, within {LOADS_AGREE:.0%}; not the highest loads that an axle may carry"
             raise InputError("data_sheet.rear_load", problem, value=loads["rear_load"], allowed=allowed)
-        front = shares["front_load"] / total if len(shares) == 2 else shares.get("front_load", 1.0 - total)
+        front = shares["front_load"] / total if "front_load" in shares else 1.0 - shares["rear_load"]
         l_f, l_r = wheelbase * (1.0 - front), wheelbase * front
         compliance = 1.0 / (given.get("rear_cornering_coefficient", REAR_CORNERING_COEFFICIENT) * GRAVITY)  # m_r/C_r
         if gradient + compliance <= 0.0:

@@ -154,5 +154,5 @@ def _run_scenarios(args: argparse.Namespace) -> None:
                 warn("the paths do not have the stored S: the results are of another version or machine")
         paths = outcome if outcome and outcome.trajectories else None  # none of a law that never intervenes
         folder = Path(args.output or f"{args.folder}/scenarios")
-        written = export_scenarios(scenarios, folder, True, paths, setup, args.reference, args.format)
+        written = export_scenarios(scenarios, folder, True, paths, setup, args.reference, args.format, design.label)
     say(console(), "recorded paths" if args.recorded else design.label, *(f"  {f}: {written[f]}" for f in written))

@@ -24,8 +24,8 @@ def add_parser(commands: _console.Subparsers) -> None:
         help="identify steering actuator and vehicle from logs",
         description="Identify the steering actuator (lag, delay, rate limit) from commanded and measured steering "
         "angle, and the vehicle (understeer gradient, stiffnesses, yaw inertia) from speed, steering angle and yaw "
-        "rate, with 95 % intervals. Reads what ldc extract reads; what the logs do not tell is refused, value by "
-        "value. Exit code 3: done, but some of the input could not be used; it is named.",
+        "rate, with 95 % intervals. Reads what ldc extract reads; what is not identifiable is refused, with "
+        "the reason. Exit code 3: done, but some of the input could not be used; it is named.",
     )
     add = parser.add_argument
     add("paths", nargs="+", metavar="LOG", help="files or folders of one format")
@@ -62,30 +62,30 @@ def run(args: argparse.Namespace) -> int:
         recordings = [item for item in items if isinstance(item, Recording)]
         if not recordings and problems:
             raise problems[0].error
-        found = identify(recordings, vehicle, steering_ratio=args.steering_ratio)
+        result = identify(recordings, vehicle, steering_ratio=args.steering_ratio)
     print_problems(problems, written=False)
     if target is not None:
-        write_text(target, toml_text(found))
+        write_text(target, toml_text(result))
     if args.json:
-        values = [estimate._asdict() for estimate in found.estimates]
-        print(json.dumps({"estimates": values, "notes": found.notes, "problems": [str(one) for one in problems]}))
+        values = [estimate._asdict() for estimate in result.estimates]
+        print(json.dumps({"estimates": values, "notes": result.notes, "problems": [str(item) for item in problems]}))
     else:
         columns = [Column("", text=True), Column("value", form=".4g"), Column("95 % interval", form=".4g")]
-        columns += [Column("unit", text=True), Column("why not", text=True)]
-        rows = [Row([one.name, one.value, one.interval, one.unit, one.reason]) for one in found.estimates]
+        columns += [Column("unit", text=True), Column("reason", text=True)]
+        rows = [Row([name, value, interval, unit, why]) for name, unit, value, interval, why in result.estimates]
         _console.print_table(Table("", columns, rows))
-        print(*found.notes, *([f"written to {target}"] if target else []), sep="\n")
+        print(*result.notes, *([f"written to {target}"] if target else []), sep="\n")
     return SOME_LEFT_OUT if problems else 0
 
 
-def toml_text(found: Identification) -> str:
-    """The tables of a study file; what the log does not tell is commented out."""
+def toml_text(result: Identification) -> str:
+    """The tables of a study file; what is not identifiable is commented out."""
     lines = ["# identified from logs, with 95 % intervals"]
     for table, names in {"plant.actuator": ("lag", "delay", "rate_max"), "vehicle": ("C_af", "C_ar", "I_z")}.items():
         lines += ["", f"[{table}]"]
-        if found.given is not None and table == "vehicle":
-            lines += [f"{name} = {getattr(found.given, name)!r}" for name in ("m", "l_f", "l_r")]
-        for name, unit, value, interval, reason in found.estimates:
+        if result.given is not None and table == "vehicle":
+            lines += [f"{name} = {getattr(result.given, name)!r}" for name in ("m", "l_f", "l_r")]
+        for name, unit, value, interval, reason in result.estimates:
             if name in names and interval:
                 lines.append(f"{name} = {value:.6g}  # [{unit}] {interval[0]:.4g} to {interval[1]:.4g}")
             elif name in names:

@@ -69,6 +69,7 @@ def run(args: argparse.Namespace) -> None:
         vehicle = read_data_sheet(Path(args.data_sheet))
         content["vehicle"] |= {key: float(f"{value:.6g}") for key, value in dataclasses.asdict(vehicle).items()}
         sheet = f"the vehicle of the data sheet {Path(args.data_sheet).name}"
+        sheet += f"; laws are designed with it, but the vehicle that is driven has the values in {car}" if car else ""
         notes = "".join(f"\n# {line}" for line in (sheet, *vehicle.notes)) + "\n"
     study = Study.from_dict(content | {"name": name}, source=str(target), folder=target.parent)
     if args.model or args.departures:
@@ -119,8 +120,7 @@ def read_data_sheet(path: Path) -> VehicleParameters:
         for key in content:
             if key not in keys:
                 raise InputError(key, "no such key", allowed=tuple(keys))
-        # what is missing is refused as None
-        given: Any = {key: content.get(key, None if of.default is of.empty else of.default) for key, of in keys.items()}
+        given: Any = {key: content.get(key) for key in keys}  # None is refused where a value is needed
         return VehicleParameters.from_data_sheet(**given)
     except InputError as error:
         raise error.within(path.name, ": ") from None

@@ -188,7 +188,7 @@ def held_wheel(log: Log) -> Log:
 STEERING, DYNAMICS = {"lag", "delay", "rate_max"}, {"understeer_gradient", "C_af", "C_ar", "I_z"}
 UNTOLD: dict[str, tuple[Callable[[Log], Log], set[str], str]] = {
     "no command": (lambda log: {k: x for k, x in log.items() if k != "steering_command"}, STEERING, "steering_command"),
-    "the command rests": (still("steering_command"), STEERING, "never moves"),
+    "the command rests": (still("steering_command"), STEERING, "is constant"),
     "sign of the command": (lambda log: log | {"steering_command": -log["steering_command"]}, STEERING, "-1"),
     "command in degrees": (
         lambda log: log | {"steering_command": np.degrees(log["steering_command"])}, STEERING, "times the command",
@@ -196,15 +196,16 @@ UNTOLD: dict[str, tuple[Callable[[Log], Log], set[str], str]] = {
     "the limit is not reached": (gentle, {"rate_max"} | DYNAMICS, "never reached"),
     "no yaw rate": (lambda log: {k: x for k, x in log.items() if k != "yaw_rate"}, DYNAMICS, "yaw_rate"),
     "no speed": (lambda log: {k: x for k, x in log.items() if k != "speed"}, DYNAMICS, "speed"),
-    "sign of the yaw rate": (lambda log: log | {"yaw_rate": -log["yaw_rate"]}, DYNAMICS, "to the right"),
+    "sign of the yaw rate": (lambda log: log | {"yaw_rate": -log["yaw_rate"]}, DYNAMICS, "sign"),
     "yaw rate in degrees": (lambda log: log | {"yaw_rate": np.degrees(log["yaw_rate"])}, DYNAMICS, "unit"),
     "steering wheel": (
         lambda log: log | {name: 15.0 * log[name] for name in ("steering", "steering_command")},
         DYNAMICS, "steering_ratio",
     ),
     "another channel": (
-        lambda log: log | {"yaw_rate": np.random.default_rng(1).normal(size=T.size)}, DYNAMICS, "another channel",
+        lambda log: log | {"yaw_rate": np.random.default_rng(1).normal(0.0, 0.05, T.size)}, DYNAMICS, "another channel",
     ),
+    "speed in km/h": (lambda log: log | {"speed": 3.6 * log["speed"]}, DYNAMICS, "speed or the yaw rate in another"),
     "too slow": (lambda log: log | {"speed": np.full(T.size, 2.0)}, DYNAMICS, "0 samples"),
     "beyond linear tyres": (lambda log: log | {"speed": np.full(T.size, 5000.0)}, DYNAMICS, "4 m/s^2"),
     "the wheel rests": (held_wheel, STEERING | {"C_af", "C_ar", "I_z"}, "noise"),

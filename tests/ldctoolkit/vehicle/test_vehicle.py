@@ -439,6 +439,7 @@ def test_axle_loads_in_kg_and_as_shares() -> None:
         ({"mass": 1.65}, "front_load"), ({"wheelbase": "2.8"}, "wheelbase"), ({"yaw_inertia": 0.0}, "yaw_inertia"),
         ({"understeer_gradient": None}, "understeer_gradient"), ({"width": True}, "width"),
         ({"understeer_gradient": -0.0051}, "understeer_gradient"),
+        ({"rear_cornering_coefficient": 145000.0}, "rear_cornering_coefficient"),
     ],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore::ldctoolkit.declared.UnitWarning")

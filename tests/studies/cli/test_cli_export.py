@@ -155,6 +155,7 @@ def test_the_worst_departures_for_other_simulators(folder: Path) -> None:
     assert re.findall(r"departure-\d{6}(?=\.xosc)", out) == names
     files = {path.name for path in (folder / "plain" / "scenarios").iterdir()}
     assert files == {f"{name}{suffix}" for name in names for suffix in (".xosc", ".xodr")}
+    assert "control by LQR, y_s=0.05 m from" in (folder / "plain" / "scenarios" / f"{names[0]}.xosc").read_text()
     out = good(
         "scenarios", "plain", "--departure", worst[1], "--format", "csv", "-o", "made", "--reference", "rear_axle",
         cwd=folder,

@@ -138,6 +138,8 @@ def test_a_data_sheet_becomes_a_study_file(tmp_path: Path) -> None:
     good("init", "zoo", "--data-sheet", "car.toml", "-o", "zoo.toml", cwd=tmp_path)
     assert load_study(tmp_path / "zoo.toml").vehicle == vehicle
     assert load_study(tmp_path / "zoo.toml").design == load_study("zoo").design
+    good("init", "my-vehicle", "--data-sheet", "car.toml", "-o", "model.toml", cwd=tmp_path)
+    assert "vehicle that is driven has the values in my_car.py" in (tmp_path / "model.toml").read_text()
 
 
 @pytest.mark.parametrize(
