@@ -325,6 +325,7 @@ def from_file(path: str, name: str, folder: Path, allowed: str) -> Any:
     except Exception as error:  # whatever a designer's code raises
         raise InputError(path, raised(error), value=name, allowed=allowed) from error
     if not hasattr(module, attribute):
-        names = [key for key, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
+        names = [key for key, value in vars(module).items()
+                 if getattr(getattr(value, "function", value), "__module__", "") == module.__name__]  # fmt: skip
         raise InputError(path, f"{file} has no {attribute}", value=name, allowed=names)
     return getattr(module, attribute)

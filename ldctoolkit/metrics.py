@@ -134,14 +134,6 @@ SCENARIO_METRICS: Final[Mapping[str, ScenarioMetric]] = {
 }
 """Every metric of a scenario beside S by its name."""
 
-_user: dict[str, "UserMetric"] = {}  # rows of designers' metrics by name, the latest of each
-
-
-def scenario_metric(name: str) -> ScenarioMetric:
-    """The row of a metric of a scenario, the toolkit's or a designer's."""
-    return SCENARIO_METRICS.get(name) or _user[name]
-
-
 METRIC_UNITS: Final = {name: row.unit for name, row in SCENARIO_METRICS.items()}  # metric of a scenario -> its unit
 
 METRIC_COLUMNS: Final = {name: _column(name, row.unit) for name, row in SCENARIO_METRICS.items()}
@@ -212,6 +204,7 @@ class Metric:
     # ``"mean"``, ``"mean_all"``, ``"median"``, ``"min"``, ``"max"``, or a quantile as ``"p95"``; empty for a share and
     # for what comes from elsewhere
     aggregate: str = ""
+    over: Over = "all"  # Which scenarios an aggregate is taken over
     # Of `Interventions` and the values of the metrics `of`, (d, n) each; gives (d,)
     share: Callable[..., Any] | None = None
 
@@ -230,6 +223,10 @@ class Metric:
         """Title and unit, for an axis."""
         return f"{self.title} [{self.shown_unit}]" if self.shown_unit else self.title
 
+    def column_of(self, name: str) -> str:
+        """A column of that name in the unit of the metric."""
+        return _column(name, self.unit)
+
 
 def _of(
     name: str, *aggregates: str, title: str = "", alias: str = "", row: ScenarioMetric | None = None
@@ -240,7 +237,9 @@ def _of(
         full, end = f"{name}_{aggregate}", _AGGREGATES.get(aggregate, f"{aggregate[1:]} % quantile")
         aliases = tuple(text for text in (alias, row.short and f"{row.short}_{aggregate}") if text)
         label, column = title or f"{row.title}, {end}", _column(full, row.unit)
-        yield Metric(full, row.unit, row.better, column, label, row.group, row.digits, aliases, (name,), aggregate)
+        over: Over = "all" if aggregate == MEAN_OF_ALL else row.over
+        more = row.group, row.digits, aliases, (name,), aggregate, over
+        yield Metric(full, row.unit, row.better, column, label, *more)
 
 
 def _share(
@@ -345,7 +344,7 @@ class UserMetric(ScenarioMetric):
         """What the function gives; `LdcError` where only the stored numbers of the metric are known."""
         if self.function is None:
             hint = "run the study from its file, or with the metric itself"
-            raise LdcError(f"metric {self.name}", "its function is not known here, or was edited", hint=hint)
+            raise LdcError(f"metric {self.name}", "its function was edited, or is not loaded", hint=hint)
         return self.function(paths)
 
     def content(self) -> dict[str, Any]:
@@ -368,7 +367,7 @@ def declare(metric: UserMetric) -> UserMetric:
     function = metric.function or _functions.get((metric.name, metric.code))
     if function is not None:
         _functions[metric.name, metric.code] = function
-    _user[metric.name] = metric = dataclasses.replace(metric, function=function)
+    metric = dataclasses.replace(metric, function=function)
     _user_rows[metric.name] = metric.rows
     return metric
 
@@ -426,9 +425,8 @@ def metric(
             raise InputError("metric", "is the name of a metric of the toolkit", value=name, hint="choose another")
         # which way is good decides what counts in a departure that failed
         code = hashlib.sha256(f"{content_of(function)} {better}".encode()).hexdigest()[:16]
-        one = "ratio" if unit in ("", "1") else unit
-        row = UserMetric(one, title or name.replace("_", " "), USER_GROUP, digits, over, better, name=name, code=code)
-        return dataclasses.replace(row, function=function)
+        si_unit, shown = "ratio" if unit in ("", "1") else unit, title or name.replace("_", " ")
+        return UserMetric(si_unit, shown, USER_GROUP, digits, over, better, name=name, code=code, function=function)
 
     return made
 

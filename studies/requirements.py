@@ -80,7 +80,7 @@ def criterion(name: str) -> Metric:
     """The metric of a design that `rank_by` stands for: S, or the mean of a designer's metric over all departures."""
     means = {row.of[0]: row for row in user_rows().values() if row.aggregate == MEAN_OF_ALL}
     if name != "S" and name not in means:
-        raise InputError(value=name, allowed=("S", *means), hint="a metric of your own stands in metrics, too")
+        raise InputError(value=name, allowed=("S", *means), hint="metrics of yours must be listed in metrics")
     return means.get(name, METRICS["S"])
 
 

@@ -19,7 +19,7 @@ from ldctoolkit.clusters import with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues, scenario_metric
+from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues, UserMetric
 from ldctoolkit.scenario_model.refit import FEWEST
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -186,6 +186,7 @@ class StudyResults(Frame):
     # Name -> (d, n) of each metric of the designer's, as it counts: in a departure that failed at least as bad as on
     # its recorded path. NaN where it gave none
     user_metrics: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+    user_rows: Mapping[str, UserMetric] = dataclasses.field(default_factory=dict)  # What they are called and mean
 
     def _repr_html_(self) -> str:
         """HTML for a notebook, without the tables of numbers, which may be large."""
@@ -248,7 +249,7 @@ class StudyResults(Frame):
         """
         if rank_by == "S":
             return self.counted
-        values, sign = self.of_scenarios(rank_by), -1.0 if scenario_metric(rank_by).better == "more" else 1.0
+        values, sign = self.of_scenarios(rank_by), -1.0 if self.user_rows[rank_by].better == "more" else 1.0
         wrong = ~np.isfinite(values) & (self.status != EventStatus.INVALID)
         if (rows := np.flatnonzero(wrong.any(axis=1))).size:
             counted = f"{wrong[rows[0]].sum():,} departures of {self.designs[rows[0]].label}"
@@ -285,7 +286,7 @@ class StudyResults(Frame):
         tables, sides = [], np.where(self.scenarios.side == LEFT, "left", "right")
         columns: dict[str, Any] = {f"{name}_{self.window}_m_s": getattr(self, name) for name in ("S", "S_uncorrected")}
         columns |= {column: getattr(self.metrics, name) for name, column in METRIC_COLUMNS.items()}
-        columns |= {scenario_metric(name).column(name): values for name, values in self.user_metrics.items()}
+        columns |= {self.user_rows[name].column(name): values for name, values in self.user_metrics.items()}
         columns |= {"status": STATUS_NAMES[self.status], "failed_solves": self.failed_solves}
         for i, design in enumerate(self.designs):
             facts = {"design": design.id, "label": design.label, "law": design.law, "y_s_m": design.y_s}

@@ -86,7 +86,7 @@ class RankingSettings(Part):
     """``[ranking]``."""
 
     # What designs are ranked by: mean S, or the mean of one of the designer's metrics over all departures
-    rank_by: Annotated[str, AfterValidator(lambda name: (criterion(name).of or ("S",))[0])] = "S"
+    rank_by: Annotated[str, AfterValidator(lambda name: criterion(name) and name)] = "S"
     bootstrap: int = Field(default=2000, ge=100, le=1_000_000)  # Resamples of the scenarios behind every interval
     confidence: float = Field(default=0.95, gt=0, lt=1)  # Of the intervals, all designs together
     # The design that all others are compared with beside the best: a law's name (its first design), or the start of a

@@ -121,11 +121,14 @@ class PathSampler:
     """The paths of the designs of one takeover, and what designers' metrics make of them; n scenarios."""
 
     def __init__(self, over: Takeover, metrics: Sequence[UserMetric], *, controlled: bool = True) -> None:
-        self.over, self._metrics = over, metrics
-        position = np.full(over.scenarios.n, -1)  # among the driven scenarios
-        if controlled:
-            position[over.rows] = np.arange(over.m)
+        self.over, self._metrics, self._controlled = over, metrics, controlled
         self._entries = int(over.steps.max(initial=0)) + 2  # of a path of a run
+
+    @functools.cached_property
+    def _batches(self) -> list[_Batch]:
+        over, position = self.over, np.full(self.over.scenarios.n, -1)  # among the driven scenarios
+        if self._controlled:
+            position[over.rows] = np.arange(over.m)
         rows = np.flatnonzero(over.valid)
         # samples of the recorded path, and of all; a last step that is shorter ends beside the grid
         recorded, dt = np.where(position < 0, over.path.scenarios.T, over.t_s)[rows], over.setup.dt
@@ -135,7 +138,7 @@ class PathSampler:
         width, alone = -(-samples // _WIDTH) * _WIDTH, position[rows] < 0
         kinds = sorted({*zip(width.tolist(), alone.tolist(), strict=True)})
         parts = [(np.flatnonzero((width == k) & (alone == never)), k) for k, never in kinds]
-        self._batches = [self._batch(rows[i], position[rows[i]], before[i], samples[i], k) for i, k in parts]
+        return [self._batch(rows[i], position[rows[i]], before[i], samples[i], k) for i, k in parts]
 
     def parts(self, run: Run) -> Iterator[tuple[IntArray, Paths]]:
         """Rows of the scenarios (g,) and their paths, of about one length at a time, of a run with paths."""
@@ -146,7 +149,7 @@ class PathSampler:
     @functools.cached_property
     def recorded(self) -> FloatArray:
         """Values of the c metrics on the recorded paths, from their start to T, (c, n)."""
-        batches = PathSampler(self.over, self._metrics, controlled=False)._batches
+        batches = PathSampler(self.over, self._metrics, controlled=False)._batches if self._metrics else []
         return self._measured((batch.rows, batch.paths) for batch in batches)
 
     def values(self, run: Run) -> FloatArray:

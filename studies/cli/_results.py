@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics import scenario_metric
 
 from ..design import Design, named_designs
 from ..pages.ranking_section import write_markdown
@@ -195,13 +194,12 @@ def json_summary(judged: Judged, files: Mapping[str, Path]) -> str:
 def rank_summary(judged: Judged, ranking_csv: Path | None, times: StepTimes | None = None) -> str:
     """The one line of ``ldc rank --json``: the result, the settings that it was ranked with, and times of steps."""
     ranking, content = judged.ranking, {"event": "ranked"} | _summary(judged)
-    baseline, winner, of = ranking.baseline, ranking.winner, ranking.criterion
+    baseline, winner = ranking.baseline, ranking.winner
     of_winner = ranking.inference.baseline_difference
-    unit = "m_s" if of is None else scenario_metric(of.metric.of[0]).column("").removeprefix("_")
     content |= {
         "baseline": None if baseline is None else ranking.designs[baseline].id,
         "rank_by": ranking.ranked_by.of[0] if ranking.criterion else "S",
-        f"baseline_difference_{unit}": None if winner is None else _number(of_winner[winner]),
+        ranking.ranked_by.column_of("baseline_difference"): None if winner is None else _number(of_winner[winner]),
         "require": list(ranking.require),
         "not_ranked": [design.id for design, missed in zip(ranking.designs, ranking.unmet, strict=True) if missed],
         "pareto": list(ranking.pareto_metrics),

@@ -10,7 +10,7 @@ import numpy as np
 
 from ldctoolkit.clusters import doubt_of
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics import scenario_metric
+from ldctoolkit.metrics import declare
 from ldctoolkit.simulation import Window
 
 from ..design import Design
@@ -319,7 +319,7 @@ def _metric_differences(
     """Differences of means over all departures, of metrics that both studies have with the same content."""
     known = {metric.name: metric.code for metric in before.study.metrics}
     for metric in after.study.metrics:
-        if known.get(metric.name) == metric.code:
+        if known.get(declare(metric).name) == metric.code:
             sides = zip((before, after), at, (shared.old, shared.new), strict=True)
             old, new = (side.results.user_metrics[metric.name][rows][:, columns]
                         for side, rows, columns in sides)  # fmt: skip
@@ -451,7 +451,7 @@ def _design_row(comparison: Comparison, i: int) -> dict[str, Any]:
     design, S = comparison.designs[i], comparison.S
     scores, changed = (S.S_old[i], S.S_new[i], S.difference[i]), int(S.changed[i])
     users = {
-        scenario_metric(name).column(f"{name}_{what}"): float(values[i]) if math.isfinite(values[i]) else None
+        criterion(name).column_of(f"{name}_{what}"): float(values[i]) if math.isfinite(values[i]) else None
         for name, of in comparison.metrics.items()
         for what, values in zip(_METRIC, (of.S_old, of.S_new, of.difference, of.low, of.high), strict=True)
     }
@@ -472,7 +472,7 @@ def _design_row(comparison: Comparison, i: int) -> dict[str, Any]:
 def write_comparison(comparison: Comparison, path: str | Path) -> None:
     """Write a comparison as one CSV file, whole or not at all."""
     rows = [*comparison_rows(comparison)]
-    users = [scenario_metric(name).column(f"{name}_{what}") for name in comparison.metrics for what in _METRIC]
+    users = [criterion(name).column_of(f"{name}_{what}") for name in comparison.metrics for what in _METRIC]
     write_text(Path(path), to_csv(Table.of((*COLUMNS[:-1], *users, COLUMNS[-1]), rows)))
 
 

@@ -19,16 +19,7 @@ from ldctoolkit.clusters import design_effect, several
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics import (
-    DTLE_LIMIT,
-    MEAN_OF_ALL,
-    METRICS,
-    Interventions,
-    Metric,
-    UserMetric,
-    scenario_metric,
-    share_within_dtle,
-)
+from ldctoolkit.metrics import DTLE_LIMIT, MEAN_OF_ALL, METRICS, Interventions, Metric, share_within_dtle
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -144,8 +135,7 @@ def sampling_intervals(
             alone = Interventions(acted.reshape(-1, 1), np.tile(d_y, len(acted))[:, None], D_y)
             values = np.reshape(metric.share(alone, *(column.reshape(-1, 1) for column in columns)), acted.shape)
         else:
-            of_all = not metric.of or scenario_metric(metric.of[0]).over == "all"
-            values = columns[0] if of_all else np.where(acted, columns[0], np.nan)
+            values = columns[0] if metric.over == "all" else np.where(acted, columns[0], np.nan)
         known = ~np.isnan(values)
         times = known if starts.size == order.size else np.add.reduceat(known[:, order], starts, axis=1, dtype=np.int64)
         count, squares = times.sum(axis=1), (times * times).sum(axis=1)
@@ -203,11 +193,8 @@ def _quantile_of(metric: Metric) -> float:
 def _groups(results: StudyResults) -> list[list[Metric]]:
     """Group the metrics that share a metric of the scenarios, so that each of the latter is read once."""
     groups: list[list[Metric]] = []
-    users = [scenario_metric(name) for name in results.user_metrics]
-    for added in (
-        *METRICS.values(),
-        *(row for one in users if isinstance(one, UserMetric) for row in one.rows.values()),
-    ):
+    users = (row for metric in results.user_rows.values() for row in metric.rows.values())
+    for added in (*METRICS.values(), *users):
         if added.aggregate or added.share is not None:
             joined = [group for group in groups if any(set(added.of) & set(other.of) for other in group)]
             groups = [group for group in groups if group not in joined]
@@ -220,8 +207,7 @@ def _aggregated(metric: Metric, by: Interventions, *values: FloatArray) -> Float
     if metric.share is not None:
         return np.asarray(metric.share(by, *values))
     (only,) = values
-    of_all = scenario_metric(metric.of[0]).over == "all"
-    of_all = of_all or metric.aggregate == MEAN_OF_ALL
+    of_all = metric.over == "all"
     if metric.aggregate in ("mean", MEAN_OF_ALL):
         return np.asarray(only.mean(axis=1)) if of_all else masked_mean(only, by.acted)
     if metric.aggregate == "max":

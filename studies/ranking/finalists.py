@@ -327,7 +327,7 @@ class RankedDesigns:
         fresh, digits = bool(np.isfinite(of.fresh[i])), of.metric.digits
         columns = (of.fresh, of.fresh_low, of.fresh_high) if fresh else (of.mean, of.low, of.high)
         value, low, high = (f"{of.metric.scale * column[i]:.{digits}f}" for column in columns)
-        between = "" if np.isnan(columns[1][i]) else f" ({100 * self.confidence:g} % interval {low} to {high})"
+        between = "" if not np.isfinite(columns[1][i]) else f" ({100 * self.confidence:g} % interval {low} to {high})"
         unit = f" {of.metric.shown_unit}".rstrip()
         return f"{of.metric.title}: {value}{unit} on {self.sample(i)}{between}. "
 

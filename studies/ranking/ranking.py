@@ -16,7 +16,7 @@ from ldctoolkit.clusters import doubt_of, several
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StudyError, expect
-from ldctoolkit.metrics import METRICS, RELEASE_METRICS, scenario_metric
+from ldctoolkit.metrics import METRICS, RELEASE_METRICS, declare
 from ldctoolkit.vehicle import VehicleModel
 
 from ..design import Design
@@ -127,7 +127,7 @@ def _warnings_of_runs(every_run: StudyResults, results: StudyResults) -> Iterato
         yield f"Commands that were not finite, of laws that declare no solver to fall back from: {_listed(wrong)}."
     for name, values in results.user_metrics.items():
         among = results.status != EventStatus.NEVER_TRIGGERED
-        unknown = (np.isnan(values) & (among | (scenario_metric(name).over == "all"))).sum(axis=1)
+        unknown = (np.isnan(values) & (among | (results.user_rows[name].over == "all"))).sum(axis=1)
         if (rows := np.flatnonzero(unknown)).size:
             named = [f"{results.designs[i].label} in {unknown[i]:,} departures" for i in rows.tolist()]
             yield f"Metric {name} is not a number, and what would count it is not known: {_listed(named)}."
@@ -196,6 +196,8 @@ class Ranking(RankedDesigns, Frame):
         of the runs gives the limit of friction. The worst of the named `vehicles` and the shares of the named or
         required `standards` are taken from the measures of the run, with an `InputError` for a measure that is missing.
         """
+        for own in results.user_rows.values():  # a later study of this process may have others of these names
+            declare(own)
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)
         limits = requirements_of((*require, *(name for name in SETS if name != "lane-edge")), options)
@@ -485,7 +487,7 @@ def _numbers(ranking: Ranking) -> dict[str, Any]:
     if (of := ranking.criterion) is not None:
         ends = {"_low": of.low, "_high": of.high}
         for prefix, values in (("", ends), ("fresh_", {"": of.fresh, "_low": of.fresh_low, "_high": of.fresh_high})):
-            numbers |= {scenario_metric(of.metric.of[0]).column(f"{prefix}{of.metric.name}{end}"): column
+            numbers |= {of.metric.column_of(f"{prefix}{of.metric.name}{end}"): column
                         for end, column in values.items()}  # fmt: skip
     numbers["pareto"] = ranking.pareto
     numbers["winner"] = np.arange(len(ranking)) == ranking.winner
@@ -505,8 +507,8 @@ def _column_of(prefix: str, name: str, ranking: Ranking) -> str:
         name = name.replace("difference", f"difference_to_{to}", 1) if prefix or name == "difference" else name
     column = name if name.startswith("optimism") else f"{prefix}{name}"
     # what the recordings leave open is known for S alone
-    of_S = ranking.criterion is None or prefix == "recordings_" or not re.search("difference|optimism", name)
-    return f"{column}_m_s" if of_S else scenario_metric(ranking.ranked_by.of[0]).column(column)
+    of_S = prefix == "recordings_" or not re.search("difference|optimism", name)
+    return (METRICS["S"] if of_S else ranking.ranked_by).column_of(column)
 
 
 def write_csv(ranking: Ranking, path: str | Path) -> None:

@@ -63,35 +63,25 @@ _warm: set[tuple[str, str]] = set()  # jobs and laws
 
 
 class Simulator:
-    """Runs tasks of one job; keeps the last few takeovers, which designs of one threshold share."""
+    """Runs tasks of one job; keeps the last few takeovers and their paths, which designs of one threshold share."""
 
     def __init__(self, job: Job) -> None:
         self.job = job
         self._metrics: tuple[UserMetric, ...] = (
             unpickled(job.metrics) if isinstance(job.metrics, bytes) else job.metrics
         )
-        self._samplers: dict[int, PathSampler] = {}
-        self._takeovers: OrderedDict[tuple[float, bytes], Takeover] = OrderedDict()
+        self._samplers: OrderedDict[tuple[float, bytes], PathSampler] = OrderedDict()
 
-    def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
-        """The scenarios at their triggers."""
+    def sampler(self, y_s: float, scenarios: Scenarios) -> PathSampler:
+        """The scenarios at their triggers, and what measures designers' metrics on them."""
         key = y_s, scenarios.index.tobytes()
-        if key not in self._takeovers:
-            while len(self._takeovers) >= _TAKEOVERS:
-                self._takeovers.popitem(last=False)
-            self._takeovers[key] = Takeover.build(scenarios, self.job.setup, y_s=y_s)
-        self._takeovers.move_to_end(key)
-        return self._takeovers[key]
-
-    def _sampler(self, takeover: Takeover) -> PathSampler | None:
-        """What measures the metrics of designers, kept as long as its takeover; None where there are none."""
-        if not self._metrics:
-            return None
-        kept = {id(over): over for over in self._takeovers.values()}
-        self._samplers = {key: sampler for key, sampler in self._samplers.items() if key in kept}
-        if id(takeover) not in self._samplers:
-            self._samplers[id(takeover)] = PathSampler(takeover, self._metrics)
-        return self._samplers[id(takeover)]
+        if key not in self._samplers:
+            while len(self._samplers) >= _TAKEOVERS:
+                self._samplers.popitem(last=False)
+            over = Takeover.build(scenarios, self.job.setup, y_s=y_s)
+            self._samplers[key] = PathSampler(over, self._metrics)
+        self._samplers.move_to_end(key)
+        return self._samplers[key]
 
     def run(self, task: Task) -> Done:
         """Every design of a task; one whose law raises, or gives what no law may give, has failed."""
@@ -103,10 +93,9 @@ class Simulator:
         ends = [i for i in range(1, len(designs)) if alone or designs[i].y_s != designs[i - 1].y_s]
         for first, last in itertools.pairwise([0, *ends, len(task.designs)]):
             # what this raises is no fault of a law
-            takeover = self.takeover(task.designs[first].y_s, task.scenarios)
-            sampler = self._sampler(takeover)
+            sampler = self.sampler(task.designs[first].y_s, task.scenarios)
             group = task.designs[first:last]
-            runs = drive_each(group, takeover, self.job.setup.convention, paths=sampler is not None)
+            runs = drive_each(group, sampler.over, self.job.setup.convention, paths=alone)
             for i, run in zip(range(first, last), runs, strict=True):
                 if isinstance(run, str):
                     reasons[i] = run
@@ -124,9 +113,9 @@ class Simulator:
         """The recorded paths with a status, as what counts where a law could not be run; no law's code is called."""
         room = _Room(task, len(self._metrics))
         for i, design in enumerate(task.designs):
-            takeover = self.takeover(design.y_s, task.scenarios)
-            room.put(i, recorded_run(takeover), self._sampler(takeover))
-            room.status[i, takeover.rows] = status
+            sampler = self.sampler(design.y_s, task.scenarios)
+            room.put(i, recorded_run(sampler.over), sampler)
+            room.status[i, sampler.over.rows] = status
         return room.result()
 
 
@@ -162,7 +151,7 @@ class _Room:
         self._not_driven = np.zeros(0, dtype=np.int8)
         self._commands = 0
 
-    def put(self, i: int, run: Run, sampler: PathSampler | None) -> None:
+    def put(self, i: int, run: Run, sampler: PathSampler) -> None:
         """Results of one design."""
         over, windows = run.takeover, (self.task.job.window,)
         if over is not self._takeover:  # designs of one threshold share what they do not change
@@ -173,8 +162,7 @@ class _Room:
         values, rows = self.values[:, i], over.rows
         values[:_TOOLKIT] = self._recorded
         run.fill(values, windows)
-        if sampler is not None:
-            values[_TOOLKIT:] = sampler.values(run)
+        values[_TOOLKIT:] = sampler.values(run)
         self.status[i] = self._not_driven
         self.status[i, rows] = run.status
         if not np.isfinite(values[:_SCORES]).all():

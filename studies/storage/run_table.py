@@ -370,6 +370,7 @@ class RunTable:
             S_uncorrected=self._uncorrected.take(None if whole else rows),
             status=of_designs(self._status),
             metrics=MetricValues(*(of_designs(values) for values in self._metrics[: len(METRIC_UNITS)])),
+            user_rows={metric.name: metric for metric in self._study.metrics},
             user_metrics={
                 metric.name: of_designs(values)
                 for metric, values in zip(self._study.metrics, self._metrics[len(METRIC_UNITS) :], strict=True)

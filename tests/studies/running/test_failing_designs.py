@@ -173,7 +173,7 @@ def test_a_fault_of_no_law_ends_all(make_study: MakeStudy, tmp_path: Path, monke
     def broken_takeover(*settings: Any) -> None:
         raise LdcError("no such plant")
 
-    monkeypatch.setattr(Simulator, "takeover", broken_takeover)
+    monkeypatch.setattr(Simulator, "sampler", broken_takeover)
     with pytest.raises(LdcError, match="no such plant"):
         run_study(make_study(), directory=tmp_path, workers=1)
 

@@ -248,6 +248,24 @@ def test_a_number_that_is_not_known_is_dropped_nowhere() -> None:
     assert (caught.value.path, caught.value.value) == ("ranking.rank_by", "some")
 
 
+def test_another_study_with_a_metric_of_the_same_name_changes_no_ranking() -> None:
+    def study(unit: str, better: Any) -> Study:
+        @ldc.metric(unit=unit, better=better, over="all")
+        def outside(paths: Paths) -> Any:
+            return paths.dt * np.sum(paths.distance < 0.0, axis=1)
+
+        ranking = {"rank_by": "outside", "finalists": 0, "bootstrap": 100}
+        return ldc.study(ldc.NoControl, ldc.LQR, y_s=0.1, left=10, right=10, metrics=[outside], ranking=ranking)
+
+    first = study("s", "less")
+    results = ldc.run_study(first, workers=1, refits=0, progress=False)
+    study("m", "more")
+    table = ldc.rank_study(results, first).to_polars()
+    assert table["law"].to_list() == ["lqr", "none"]
+    assert "outside_mean_s" in table.columns
+    assert "outside_s" in results.to_polars().columns
+
+
 def test_a_mistake_is_found_before_a_design_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     @ldc.metric(unit="s")
     def broken(paths: Paths) -> Any:
