@@ -82,8 +82,8 @@ LAWS: dict[str, Controller] = {
     [
         *((name, "actuator and camera") for name in LAWS),
         ("lqi", "ideal plant"),
-        ("linear_mpc", "trigger by time"),
-        ("pid", "the catalog"),
+        pytest.param("linear_mpc", "trigger by time", marks=pytest.mark.slow),
+        pytest.param("pid", "the catalog", marks=pytest.mark.slow),
         ("lqi", "camera behind a filter"),
     ],
 )
@@ -443,7 +443,8 @@ BEGUN = {"e_y": "x0", "e_y_rate": "x1", "e_psi": "x2", "e_psi_rate": "x3"}
 @pytest.mark.parametrize(
     ("version", "outputs", "step", "largest"),
     [
-        ("2.0", WHOLE, 0.01, 1e-4), ("3.0", WHOLE, 0.0025, 1e-5),
+        pytest.param("2.0", WHOLE, 0.01, 1e-4, marks=pytest.mark.slow),
+        pytest.param("3.0", WHOLE, 0.0025, 1e-5, marks=pytest.mark.slow),
         # it is linear, and its v_y is taken for that of an exact geometry
         ("2.0", {"v_y": "vy", "yaw_rate": "r", "a_y": "ay"}, 0.01, 5e-3),
     ],

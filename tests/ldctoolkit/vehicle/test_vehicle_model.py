@@ -106,6 +106,7 @@ def test_states_of_ones_own_against_solve_ivp() -> None:
             np.testing.assert_allclose(state[:4], x[k + 1], rtol=0, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_a_model_that_advances_itself() -> None:
     scenarios, tyres = departures(20.0, n=20), Tyres(model="magic_formula")  # from the start that initial() leaves
     options = PlantOptions(speed="profile", actuator=Actuator(lag=0.1, delay=0.03), tyres=tyres)
