@@ -183,7 +183,7 @@ def study_of(*names: str, **counts: int) -> ldc.Study:
 
 
 @pytest.mark.parametrize(
-    ("names", "each"), [(("corridor", "quadratic"), 6), pytest.param(tuple(SWEPT), 20, marks=pytest.mark.slow)]
+    ("names", "each"), [(("corridor", "quadratic"), 6), pytest.param(tuple(SWEPT), 10, marks=pytest.mark.slow)]
 )
 def test_a_study_has_the_same_bits_with_workers(names: tuple[str, ...], each: int, tmp_path: Path) -> None:
     with known(*LAWS):
