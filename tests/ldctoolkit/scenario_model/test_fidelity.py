@@ -390,7 +390,7 @@ def three_kinds(n: int, seed: int) -> Departures:
 
 
 def stable(made: DepartureParameters) -> None:
-    orders = [np.random.default_rng(seed).permutation(made.n) for seed in range(10)]
+    orders = [np.random.default_rng(seed).permutation(made.n) for seed in range(6)]
     models = [fit_scenario_model(made.take(rows), seed=seed, extraction=CRITERIA) for seed, rows in enumerate(orders)]
     for name in ("left", "right"):
         sides = [getattr(model.provenance, name) for model in models]

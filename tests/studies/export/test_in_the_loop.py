@@ -276,7 +276,7 @@ PREDICTIVE: dict[str, Controller] = {
     ("name", "setup", "n"),
     [
         ("nonlinear", "realistic", 30),
-        *(pytest.param(name, "realistic", 120, marks=SLOW_TIER) for name in list(PREDICTIVE)[1:-1]),
+        *(pytest.param(name, "realistic", 60, marks=SLOW_TIER) for name in list(PREDICTIVE)[1:-1]),
         *(pytest.param(name, "ideal plant", 60, marks=SLOW_TIER) for name in ("limited", "slow")),
         pytest.param("corridor", "a window that is no whole number of samples", 60, marks=SLOW_TIER),
         pytest.param("slow", "delay without lag", 60, marks=SLOW_TIER),
