@@ -39,7 +39,7 @@ def test_real_driving_to_a_report(ngsim_recordings: Path, tmp_path: Path) -> Non
         "run", "trigger-and-gains", "--model", "m.json", "-o", "out", "--no-robustness", "--no-figures", cwd=tmp_path
     )
     assert "report:" in ran
-    check_study(tmp_path / "out", designs=71)
+    check_study(tmp_path / "out", designs=86)
 
 
 STUDY = """
