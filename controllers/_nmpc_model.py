@@ -117,6 +117,9 @@ def formulation(structure: Structure) -> Formulation:
     return _Builder(structure).build()
 
 
+_RATE: Final = "the rate of a command is u.change / lane.dt"
+
+
 class _Builder:
     """Symbols and expressions of one formulation."""
 
@@ -235,7 +238,7 @@ class _Builder:
         seen = {"a_y": self.a, "jerk": self.jerk} if of_stage else {}
         return (
             Names(f"{self.name}.x", **({"wheel": self.prev} | states | seen)),
-            Names(f"{self.name}.u", delta=self.u, change=self.change),
+            Names(f"{self.name}.u", _RATE, delta=self.u, change=self.change),
             Names(
                 f"{self.name}.lane", yaw_rate=self.r, curvature=self.r / self.numbers["v"],
                 steady_delta=self.steady, steady_e_psi=self.ref[2], offset=self.numbers["offset"],

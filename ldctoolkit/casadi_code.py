@@ -24,17 +24,16 @@ from ldctoolkit.surroundings import cache_folder, private
 class Names:
     """CasADi expressions by name; another name is an error that proposes the nearest."""
 
-    def __init__(self, path: str, **expressions: Any) -> None:
+    def __init__(self, path: str, hint: str = "", /, **expressions: Any) -> None:
         self.__dict__.update(expressions)
-        self.__path = path
+        self.__path, self.__hint = path, hint
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
         names = [key for key in self.__dict__ if not key.startswith("_")]
         names += [key for key in vars(type(self)) if not key.startswith("_")]
-        hint = "the rate of a command is u.change / lane.dt" if self.__path.endswith(".u") else ""
-        raise UnknownNameError(f"{self.__path}.{name}", "no such name", allowed=names, hint=hint)
+        raise UnknownNameError(f"{self.__path}.{name}", "no such name", allowed=names, hint=self.__hint)
 
 
 _SYMBOLS: Final = (
@@ -56,8 +55,8 @@ def called(path: str, function: Callable[..., Any], *arguments: Any, hint: str =
             raise UnknownNameError(f"{owner}.{error.name}", "no such field", allowed=names) from error
         error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # from the designer's line on
         if error.__traceback__ is None and design is not None:  # it takes other arguments than those of its base
-            name = path.rpartition(".")[2]
-            documented = next(vars(base)[name] for base in reversed(type(design).__mro__) if name in vars(base))
+            kinds, name = reversed(type(design).__mro__), path.rpartition(".")[2]
+            documented = next(vars(kind)[name] for kind in kinds if name in vars(kind))
             hint = f"its arguments are {', '.join(inspect.signature(documented).parameters)}"
         raise InputError(path, raised(error), hint=hint) from error
 

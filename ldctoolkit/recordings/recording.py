@@ -144,7 +144,7 @@ class Recording(ReadOnly):
     heading: FloatArray | None = None
     # (m,) [rad] Steering angle of the road wheels or the steering wheel, positive to the left
     steering: FloatArray | None = None
-    # (m,) [rad] Steering angle that the actuator is told to take, as `steering` is
+    # (m,) [rad] Commanded steering angle, of the same wheel as `steering`
     steering_command: FloatArray | None = None
     engaged: BoolArray | None = None  # (m,) True while a system steers, not the driver
     # (m,) True where the source lost samples before this one: nothing is joined or interpolated across

@@ -344,7 +344,7 @@ _Differences = TypeVar("_Differences", Inference, FreshScores)
 
 
 def _in_unit(of: _Differences, scale: float, **of_S: Any) -> _Differences:
-    """Differences and optimism in the unit of what is ranked by, with what is said of S."""
+    """Differences and optimism in the unit of the criterion of the ranking, with the texts on S."""
     names = [f.name for f in dataclasses.fields(of) if "difference" in f.name or f.name.startswith("optimism")]
     scaled: dict[str, Any] = {name: scale * getattr(of, name) for name in names if name != "optimism_paired"}
     return dataclasses.replace(of, **scaled, **of_S)

@@ -761,7 +761,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
         {"value": "0 at k = 2"},
     ),
     "a soft limit without an end": (soft(lambda x, u, lane, k: [Soft(x.a_y)]), "stage.soft[0]", {}),
-    "a soft limit without an end, in words": (
+    "a soft limit with None at both ends": (
         soft(lambda x, u, lane, k: [Soft(x.a_y, None, 1.0), Soft(x.jerk, None, None)]), "stage.soft[1]", {},
     ),
     "an absolute value": (staged(lambda s, x, u, lane, k: abs(x.e_psi) + cost(x, u)), "stage.cost", {"hint": SMOOTH}),
@@ -814,7 +814,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "a horizon too long": ({"horizon": 9000}, "horizon", {"value": 9000}),
     "moves below 0": ({"move_blocks": -1}, "move_blocks", {"value": -1}),
     "iterations in words": ({"iterations": "many"}, "iterations", {"value": "many"}),
-    "moves in words": ({"move_blocks": "converged"}, "move_blocks", {"value": "converged"}),
+    "a word for the number of moves": ({"move_blocks": "converged"}, "move_blocks", {"value": "converged"}),
     "another integrator": ({"integrator": "euler"}, "integrator", {"value": "euler", "allowed": {"rk4"}}),
     "another Hessian": ({"hessian": "bfgs"}, "hessian", {"value": "bfgs", "allowed": {"exact", "gauss_newton"}}),
 }  # fmt: skip
