@@ -47,8 +47,8 @@ def loaded_metrics(entry: Any, folder: Path) -> list[Any]:
     metrics = []
     for i, value in enumerate(entry if isinstance(entry, list | tuple) else [entry]):
         if isinstance(value, str):
-            found = from_file(f"metrics[{i}]", value, folder, "FILE.py:NAME of a metric")
-            value = dataclasses.replace(found, source=value) if isinstance(found, UserMetric) else found
+            given = from_file(f"metrics[{i}]", value, folder, "FILE.py:NAME of a metric")
+            value = dataclasses.replace(given, source=value) if isinstance(given, UserMetric) else given
         metrics.append(value)
     return metrics
 

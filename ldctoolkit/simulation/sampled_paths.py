@@ -220,7 +220,7 @@ def checked_values(metric: UserMetric, paths: Paths) -> FloatArray:
     try:
         values: Any = metric(paths)
     except LdcError as error:
-        raise error if error.path.startswith("metric ") else error.within(f"metric {metric.name}", ": ") from None
+        raise error if error.path == f"metric {metric.name}" else error.within(f"metric {metric.name}", ": ") from None
     except Exception as error:  # a metric may be third-party code
         raise LdcError(f"metric {metric.name}", f"{type(error).__name__}: {first_line(error)}") from error
     array = np.asarray(unmasked(values))

@@ -130,7 +130,7 @@ def _warnings_of_runs(every_run: StudyResults, results: StudyResults) -> Iterato
         unknown = (np.isnan(values) & (among | (results.user_rows[name].over == "all"))).sum(axis=1)
         if (rows := np.flatnonzero(unknown)).size:
             named = [f"{results.designs[i].label} in {unknown[i]:,} departures" for i in rows.tolist()]
-            yield f"Metric {name} is not a number, and what would count it is not known: {_listed(named)}."
+            yield f"Metric {name} is NaN, so that its aggregates are unknown: {_listed(named)}."
     if often:
         yield f"Commands that were not finite, or came from a law's fallback: {_listed(often)}."
 
@@ -344,7 +344,7 @@ _Differences = TypeVar("_Differences", Inference, FreshScores)
 
 
 def _in_unit(of: _Differences, scale: float, **of_S: Any) -> _Differences:
-    """Differences and optimism in the unit of the criterion of the ranking, with the texts on S."""
+    """Differences and optimism in the unit of the criterion of the ranking; `of_S` are values that stay those of S."""
     names = [f.name for f in dataclasses.fields(of) if "difference" in f.name or f.name.startswith("optimism")]
     scaled: dict[str, Any] = {name: scale * getattr(of, name) for name in names if name != "optimism_paired"}
     return dataclasses.replace(of, **scaled, **of_S)
