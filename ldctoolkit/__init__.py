@@ -15,6 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from ldctoolkit.control import (
+    AssistState,
     Controller,
     EventStatus,
     LinearLaw,
@@ -36,7 +37,7 @@ from ldctoolkit.departures import (
 from ldctoolkit.errors import LdcError
 from ldctoolkit.metrics import metric
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.plant_options import Actuator, Driver, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.recordings import (
     extract_departures,
     open_recordings,
@@ -59,20 +60,20 @@ if TYPE_CHECKING:
     from ldctoolkit.studies import *
 
 __all__ = [
-    "LQI", "LQR", "PID", "SPEED_RANGE", "Actuator", "Assessment", "BarrierFilter", "BicycleModel",
+    "LQI", "LQR", "PID", "SPEED_RANGE", "Actuator", "Assessment", "AssistState", "BarrierFilter", "BicycleModel",
     "BoundedGaussianMixture", "CLaw", "Comparison", "Controller", "DepartureParameters", "DepartureSignals",
-    "Departures", "Design", "EventStatus", "FmuLaw", "FmuVehicle", "Gain", "Identification", "KalmanFilter",
-    "LdcError", "LinearLaw", "LinearMPC", "LinearSteps", "Mismatch", "NoControl", "NonlinearMPC", "Outcome",
-    "Paths", "Plans", "Plant", "PlantOptions", "Plausibility", "PredictiveController", "Preview", "PreviewLQR",
-    "PreviewProportional", "PurePursuit", "Ranking", "RecordedPath", "Residuals", "ScenarioModel", "Scenarios",
-    "Sensors", "Setup", "SlidingMode", "Soft", "SolverCalls", "Stage", "Stanley", "SteeringLaw", "Study",
-    "StudyResults", "Tyres", "VehicleModel", "VehicleParameters", "__version__", "assess", "bundled_models",
-    "check_fidelity", "compare", "controller_class", "controller_names", "controllers", "estimate_risk", "export_c",
-    "extract_departures", "fit_scenario_model", "from_opti", "gain", "identify", "load_model", "load_study",
-    "metric", "open_recordings", "option", "plans", "plot_convergence", "plot_departure", "plot_distribution",
-    "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study", "read_departures", "read_recordings",
-    "read_results", "rebuild_signals", "reduce_signals", "register", "run_study", "scheduled", "simulate",
-    "studies", "study", "write_departures",
+    "Departures", "Design", "Driver", "EventStatus", "FmuLaw", "FmuVehicle", "Gain", "Identification",
+    "KalmanFilter", "LdcError", "LinearLaw", "LinearMPC", "LinearSteps", "Mismatch", "NoControl", "NonlinearMPC",
+    "Outcome", "Paths", "Plans", "Plant", "PlantOptions", "Plausibility", "PredictiveController", "Preview",
+    "PreviewLQR", "PreviewProportional", "PurePursuit", "Ranking", "RecordedPath", "Residuals", "ScenarioModel",
+    "Scenarios", "Sensors", "Setup", "SlidingMode", "Soft", "SolverCalls", "Stage", "Stanley", "SteeringLaw",
+    "Study", "StudyResults", "Tyres", "VehicleModel", "VehicleParameters", "__version__", "assess",
+    "bundled_models", "check_fidelity", "compare", "controller_class", "controller_names", "controllers",
+    "estimate_risk", "export_c", "extract_departures", "fit_scenario_model", "from_opti", "gain", "identify",
+    "load_model", "load_study", "metric", "open_recordings", "option", "plans", "plot_convergence",
+    "plot_departure", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study",
+    "read_departures", "read_recordings", "read_results", "rebuild_signals", "reduce_signals", "register",
+    "run_study", "scheduled", "simulate", "studies", "study", "write_departures",
 ]  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.declared import Gain, check_declarations, declared_gains, document_gains
 from ldctoolkit.errors import CheckedArguments, InputError, closest
 from ldctoolkit.vehicle import Plant
@@ -61,6 +61,25 @@ class EventStatus(enum.IntEnum):
     """Driven to the end; at first the wheel was so far beyond the law's limit that no command could meet it."""
 
 
+class AssistState(enum.IntEnum):
+    """What the assist does where a driver holds the wheel.
+
+    Examples
+    --------
+    >>> AssistState.OVERRIDDEN.name
+    'OVERRIDDEN'
+    """
+
+    ARMED = 0
+    """Not triggered: no torque."""
+    ACTIVE = 1
+    """It steers."""
+    OVERRIDDEN = 2
+    """The driver's torque was beyond the limit for long enough: its torque leaves within the ramp."""
+    RELEASED = 3
+    """It has left the wheel to the driver."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Preview:
     """The lane ahead, at the lookahead times that a law requested.
@@ -80,6 +99,10 @@ class Preview:
     wheel: FloatArray | None = None
     # (n, 2) e_y [m] and e_psi [rad] of the camera's frame that a Kalman filter took in at this sample; NaN without one
     frame: FloatArray | None = None
+    torque: FloatArray | None = None  # (n,) [N m] Driver's torque at the steering wheel; None without a driver
+    # (n,) The assist did not follow the command: overridden or released, or it, or the actuator, was at a limit; None
+    # where the plant has neither a driver nor a limit of the angle
+    yielding: BoolArray | None = None
 
 
 @final

@@ -42,6 +42,9 @@ JERK_LIMIT: Final = 5.0
 TAIL: Final = 0.8
 """Depth of the edge beyond the line [m] from which on a departure counts as one that went badly."""
 
+AGAINST_LIMIT: Final = 1.0
+"""Longest intervention [s] against the driver once the vehicle is parallel to the line (Euro NCAP 2026, v1.1)."""
+
 JERK_WINDOW: Final = 0.5  # moving average [s] of the lateral jerk (ISO 11270)
 
 
@@ -128,6 +131,27 @@ class MetricValues:
     travel: FloatArray = field(metadata=_row("rad", "Steering travel", "steering", 2))
     """Sum of the changes of the steering angle, without their signs [rad]."""
 
+    # with a driver at the wheel; NaN without one
+    driver_torque_peak: FloatArray = field(metadata=_row("N m", "Peak driver torque", "driver", 2))
+    """Largest torque of the driver at the steering wheel [N m]."""
+
+    driver_torque_mean: FloatArray = field(metadata=_row("N m", "Mean driver torque", "driver", 2))
+    """Mean of that torque without its sign, from the trigger on [N m]."""
+
+    against_time: FloatArray = field(metadata=_row("s", "Time against the driver", "driver", 2))
+    """How long the driver's torque was beyond 1 N m against that of the assist [s]."""
+
+    against_parallel: FloatArray = field(
+        metadata=_row("s", "Against the driver, longest once parallel", "driver", 2, limit=AGAINST_LIMIT)
+    )
+    """The longest such stretch after the vehicle was first parallel to the line [s]."""
+
+    overridden: FloatArray = field(metadata=_row("share", "Overridden", "driver", 1))
+    """1 where the driver overrode the assist, else 0."""
+
+    handover_step: FloatArray = field(metadata=_row("N m", "Torque step at hand-over", "driver", 2))
+    """Largest change of the assist's torque within 0.1 s as it hands over, overridden or at the end [N m]."""
+
 
 SCENARIO_METRICS: Final[Mapping[str, ScenarioMetric]] = {
     column.name: column.metadata["row"] for column in dataclasses.fields(MetricValues)
@@ -135,6 +159,9 @@ SCENARIO_METRICS: Final[Mapping[str, ScenarioMetric]] = {
 """Every metric of a scenario beside S by its name."""
 
 METRIC_UNITS: Final = {name: row.unit for name, row in SCENARIO_METRICS.items()}  # metric of a scenario -> its unit
+
+DRIVER_METRICS: Final = tuple(name for name, row in SCENARIO_METRICS.items() if row.group == "driver")
+"""The metrics of a scenario that need a driver at the wheel; NaN without one."""
 
 METRIC_COLUMNS: Final = {name: _column(name, row.unit) for name, row in SCENARIO_METRICS.items()}
 """Metric of a scenario -> its column in a stored table, the unit at the end: ``a_y_peak_m_s2``."""
@@ -148,6 +175,7 @@ GROUPS: Final[Mapping[str, str]] = {
     "back": "Back to the lane, interventions",
     "comfort": "Comfort, interventions",
     "steering": "Steering, interventions",
+    "driver": "Driver at the wheel, interventions",
     "interventions": "Interventions",
     "loop": "Linear loop",
     "failures": "Failures",
@@ -163,6 +191,7 @@ _SHOWN_UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "rad/s": (math.degrees(1.0), "°/s"),
     "rad^2 s": (math.degrees(1.0) ** 2, "°²·s"),
     "m s": (1.0, "m·s"),
+    "N m": (1.0, "N·m"),
     "m/s^2": (1.0, "m/s²"),
     "m/s^3": (1.0, "m/s³"),
 }
@@ -314,6 +343,12 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _metrics_by_name(
     *_of("delta_rate_peak", "max"),
     *_of("effort", "mean", alias="effort"),
     *_of("travel", "mean", alias="travel"),
+    *_of("driver_torque_peak", "mean", "p95", "max"),
+    *_of("driver_torque_mean", "mean"),
+    *_of("against_time", "mean", "p95"),
+    *_of("against_parallel", "p95", "max"),
+    *_of("overridden", "mean", title="Overridden by the driver", alias="overridden_share"),
+    *_of("handover_step", "p95", "max"),
     _count("lost", "Departures that diverged though friction allows their recorded path"),
     Metric("gain_margin", "ratio", "more", "gain_margin", "Gain margin, least over speed", "loop", 2),
     Metric("phase_margin", "rad", "more", "phase_margin_rad", "Phase margin, least over speed", "loop", 1),

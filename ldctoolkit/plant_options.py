@@ -6,6 +6,7 @@ state the law sees as it is. Every option here takes one of these idealisations 
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from fractions import Fraction
 from typing import Final, Literal, get_args
 
@@ -14,6 +15,8 @@ from ldctoolkit.errors import CheckedArguments, InputError
 
 Speed = Literal["frozen", "profile"]
 TyreModel = Literal["linear", "magic_formula"]
+DriverModel = Literal["grip", "arms"]
+INTENTS: Final = ("recorded", "straight", "follows", "against", "returns")  # what a driver means to do
 
 _SHORTEST_LAG: Final = 1e-4  # shortest lag [s] that is a lag and not a slip of the pen
 _SHORTEST_PERIOD: Final = 1e-3  # shortest period [s] of a camera: each frame that is on its way at the trigger is kept
@@ -226,6 +229,85 @@ class Residuals(_Options):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class Driver(_Options):
+    """A driver who holds the wheel, the steering column, and an assist that the driver can override.
+
+    Each of the five intents has a share of the departures; together 1. Without shares nobody holds the wheel. Ranges
+    are drawn for each departure, uniformly. Torques and angles are those at the steering wheel, `steering_ratio` of the
+    vehicle times the wheels' angle. Equations and sources: docs/explanation/driver.md. Raises `InputError` for shares
+    that do not sum to 1, and for a value outside what is allowed or of the other model.
+
+    Examples
+    --------
+    >>> Driver(straight=0.4, recorded=0.4, against=0.2).model
+    'grip'
+    >>> Driver(model="arms", recorded=1.0, stiffness=(20.0, 20.0)).ideal
+    False
+    """
+
+    # Springs and arms' damping alone, or arms, wheel and aligning torque with their dynamics
+    model: DriverModel = declared("grip", choices=get_args(DriverModel))
+    # Share of the drivers who steer on along the recorded path
+    recorded: float = declared(0.0, lower=0.0, upper=1.0)
+    straight: float = declared(0.0, lower=0.0, upper=1.0)  # Of those who hold the wheel as it was at the trigger
+    follows: float = declared(0.0, lower=0.0, upper=1.0)  # Of those who give way after their reaction time
+    against: float = declared(0.0, lower=0.0, upper=1.0)  # Of those who mean to leave the lane
+    returns: float = declared(0.0, lower=0.0, upper=1.0)  # Of those who correct by themselves after it
+    # Share of the arms in the stiffness that holds the wheel; only of model grip
+    grip: tuple[float, float] = declared((0.15, 0.45), lower=0.0, upper=1.0, pair="ascending")
+    arm_lag: float = declared(0.05, unit="s", lower=1e-3, upper=1.0)  # Damping over stiffness; only of model grip
+    # Stiffness, damping and inertia of the arms; only of model arms
+    stiffness: tuple[float, float] = declared((10.0, 50.0), unit="N m/rad", lower=0.0, upper=500.0, pair="ascending")
+    damping: float = declared(1.5, unit="N m s/rad", lower=0.0, upper=50.0)
+    inertia: float = declared(0.1, unit="kg m^2", lower=0.0, upper=1.0)
+    reaction: tuple[float, float] = declared((0.5, 1.2), unit="s", lower=0.0, upper=5.0, pair="ascending")
+    # Lateral acceleration outward that a driver who means to leave the lane steers for a second
+    across: tuple[float, float] = declared((0.3, 0.8), unit="m/s^2", lower=0.0, upper=5.0, pair="ascending")
+    # Of the oscillation back to the lane's centre that a driver who corrects means, and its damping ratio
+    frequency: tuple[float, float] = declared((0.8, 1.5), unit="rad/s", above=0.0, upper=5.0, pair="ascending")
+    return_damping: float = declared(0.4, lower=0.0, upper=2.0)
+    # The assist's position loop and its limit
+    assist_stiffness: float = declared(60.0, unit="N m/rad", lower=1.0, upper=1000.0)
+    assist_damping: float = declared(4.0, unit="N m s/rad", lower=0.0, upper=100.0)  # Only of model arms
+    torque_max: float = declared(5.0, unit="N m", above=0.0, upper=100.0)
+    # The column; only of model arms: inertia and damping, trail of the front tyres, share that power steering takes
+    wheel_inertia: float = declared(0.1, unit="kg m^2", lower=0.01, upper=1.0)
+    wheel_damping: float = declared(0.4, unit="N m s/rad", lower=0.0, upper=10.0)
+    trail: float = declared(0.045, unit="m", lower=0.0, upper=0.2)
+    boost: float = declared(0.7, lower=0.0, upper=1.0)
+    # The assist yields where the driver's torque is larger for so long, leaves within the ramp, and comes back after so
+    # long below it; 0 for never
+    override_torque: float = declared(3.0, unit="N m", above=0.0, upper=100.0)
+    override_time: float = declared(0.2, unit="s", lower=0.0, upper=10.0)
+    ramp: float = declared(0.3, unit="s", lower=0.0, upper=10.0)
+    return_after: float = declared(0.0, unit="s", lower=0.0, upper=60.0)
+
+    def __post_init__(self) -> None:
+        check_declared(self, "driver")
+        total, defaults = sum(self.shares), {name: d.default for name, d in declarations(Driver).items()}
+        if total and abs(total - 1.0) > 1e-9:
+            raise InputError("driver", f"shares that sum to {total:g}", allowed="a sum of 1", hint=", ".join(INTENTS))
+        other = "arms" if self.model == "grip" else "grip"
+        for name, model in _ONLY_OF.items():
+            if model == other and getattr(self, name) != defaults[name]:
+                hint = f"allowed with driver.model = {other!r}"
+                raise InputError(f"driver.{name}", value=getattr(self, name), hint=hint)
+        if not total and vars(self) != defaults:
+            raise InputError("driver", "no share of any intent", allowed="a sum of 1", hint=", ".join(INTENTS))
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Share of each of `INTENTS`."""
+        return tuple(getattr(self, intent) for intent in INTENTS)
+
+
+_ONLY_OF: Final[Mapping[str, DriverModel]] = {
+    "grip": "grip", "arm_lag": "grip", "stiffness": "arms", "damping": "arms", "inertia": "arms",
+    "assist_damping": "arms", "wheel_inertia": "arms", "wheel_damping": "arms", "trail": "arms", "boost": "arms",
+}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class PlantOptions(_Options):
     """All options of the plant, each of which may differ from the ideal plant.
 
@@ -246,6 +328,7 @@ class PlantOptions(_Options):
     tyres: Tyres = declared(Tyres)
     sensors: Sensors = declared(Sensors)
     residuals: Residuals = declared(Residuals)
+    driver: Driver = declared(Driver)
 
     def __post_init__(self) -> None:
         check_declared(self)
@@ -265,4 +348,4 @@ class PlantOptions(_Options):
     @property
     def drives_exactly(self) -> bool:
         """Between samples the plant is linear with constant coefficients, and its steering angle constant."""
-        return self.speed == "frozen" and self.actuator.ideal and self.tyres.ideal
+        return self.speed == "frozen" and self.actuator.ideal and self.tyres.ideal and self.driver.ideal

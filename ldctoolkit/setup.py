@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ldctoolkit.declared import Declaration, check_declared, checked_seed, declarations, declared, short_repr
 from ldctoolkit.errors import CheckedArguments, InputError, expect
-from ldctoolkit.plant_options import Mismatch, PlantOptions
+from ldctoolkit.plant_options import Driver, Mismatch, PlantOptions
 from ldctoolkit.vehicle import BicycleModel, Convention, Plant, VehicleModel, VehicleParameters
 
 InitialYawRate = Literal["path", "zero"]
@@ -114,6 +114,7 @@ class Setup(CheckedArguments):
                 ("convention", self.convention, "consistent"),
                 ("start", self.start, "steady"),
                 ("mismatch", options.mismatch, Mismatch()),
+                ("driver", options.driver, Driver()),
             ):
                 if value != default:
                     hint = "they belong to the single track: the model brings its own"

@@ -480,7 +480,8 @@ class Study(Part):
         """What decides the numbers of any design: not which designs there are, the title, the report or the ranking."""
         content = self.content()
         same = {key: content[key] for key in ("seed", "simulation", "vehicle", "plant")}
-        del same["vehicle"]["steering_ratio"]  # it decides no number of a run
+        if self.plant.driver.ideal:  # it decides no number of a run
+            del same["vehicle"]["steering_ratio"], same["plant"]["driver"]
         if self.vehicle_model:  # an edit of its code is the same study, which is run anew
             same["vehicle"]["model"] = type(self.vehicle_models[self.vehicle_model]).__name__
         if same["simulation"]["trigger"] == "distance":  # as before there was another

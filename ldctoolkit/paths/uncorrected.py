@@ -30,6 +30,7 @@ class RandomStream(enum.IntEnum):
     RESIDUAL_V = 3
     CAMERA = 4
     CURVATURE = 5
+    DRIVER = 6
 
 
 def uniforms(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatArray:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, ReadOnly, facts_html, unmasked
 from ldctoolkit.control import (
+    AssistState,
     Controller,
     EventStatus,
     Law,
@@ -32,7 +33,7 @@ from ldctoolkit.control import (
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, expect
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
-from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
+from ldctoolkit.metrics import DRIVER_METRICS, METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.metrics import reduction as metric_reduction
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
@@ -82,6 +83,12 @@ class Trajectories(ReadOnly):
     a_y: FloatArray  # (c, k) [m/s^2] Lateral acceleration, axle forces over mass, at the moment of `delta`
     path: UncorrectedPath  # Of the chosen scenarios, with the lane and the speed that are driven
     v: FloatArray  # (c,) [m/s] Speed where the plant keeps that of the trigger; NaN where it follows the path's
+    # (c, k) Torques at the steering wheel [N m], authority of the assist from 0 to 1, and its `AssistState`, at the
+    # moment of `delta`; None without a driver
+    driver_torque: FloatArray | None = None
+    assist_torque: FloatArray | None = None
+    authority: FloatArray | None = None
+    assist_state: FloatArray | None = None
 
     def world(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position and heading in the plane, on the true side and along the lane's curvature; axes as in ISO 8855.
@@ -153,6 +160,7 @@ class Outcome(Frame):
     # Every solver call of a law that has a solver
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
     side: IntArray | None = None  # (n,) ``LEFT`` (+1) or ``RIGHT`` (-1), the scenarios' own
+    assist_state: IntArray | None = None  # (n,) `AssistState` at the end; None without a driver
 
     def _repr_html_(self) -> str:
         """What a notebook shows; means leave out scenarios that cannot be driven."""
@@ -245,6 +253,7 @@ class Run:
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
     # On request, for each sample: row numbers of the scenarios that go on, and their plans as of `SteeringLaw.plan`
     planned: Sequence[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = ()
+    assist_state: IntArray | None = None  # (m,) As in `Outcome`
 
     @property
     def trajectories(self) -> Trajectories | None:
@@ -284,6 +293,11 @@ class Run:
         status[rows] = self.status
         failed = np.zeros(over.scenarios.n, dtype=np.int64)
         failed[rows] = self.failed_solves
+        state = (
+            None if over.setup.options.driver.ideal else np.full(over.scenarios.n, AssistState.ARMED, dtype=np.int64)
+        )
+        if state is not None and self.assist_state is not None:
+            state[rows] = self.assist_state
         return Outcome(
             window=window,
             # copies: a caller that keeps S alone does not keep the rest
@@ -298,6 +312,7 @@ class Run:
             trajectories=self.trajectories,
             solver_log=self.solver_log.renamed(rows),
             side=over.scenarios.side,
+            assist_state=state,
         )
 
 
@@ -623,7 +638,12 @@ def _run_of_scores(
     status = np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
     edge = takeover.setup.vehicle.edge_offset
     # before the trigger the vehicle was on the recorded path
-    area, values = score[0], dict(zip(METRIC_UNITS, score[1:], strict=True))
+    area, values, state = score[0], dict(zip(METRIC_UNITS, score[1:-1], strict=True)), None
+    if takeover.setup.options.driver.ideal:
+        values |= dict.fromkeys(DRIVER_METRICS, np.full(takeover.m, np.nan))
+    else:
+        state = score[-1].astype(np.int64)
+        values["driver_torque_mean"] = values["driver_torque_mean"] / takeover.driven_for
     values["deepest"] = np.maximum(values["deepest"] - edge, takeover.deepest_before)
     values["dtle"] = -np.maximum(values["dtle"] - edge, takeover.front_before)
     values["opposite_crossing"] = np.maximum(values["opposite_crossing"] - edge, 0.0)
@@ -631,7 +651,7 @@ def _run_of_scores(
     inside = (takeover.x_0[:, 0] < edge) & (values["deepest"] <= 0.0)
     values["t_back"] = np.where(inside, takeover.start, values["t_back"])
     metrics = MetricValues(**values)
-    return Run(takeover, area, status, failed, metrics, step_seconds, paths)
+    return Run(takeover, area, status, failed, metrics, step_seconds, paths, assist_state=state)
 
 
 def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray, triggered: IntArray) -> Trajectories:

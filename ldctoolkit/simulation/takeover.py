@@ -15,7 +15,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import LinearLaw
 from ldctoolkit.declared import checked_number, checked_seed
 from ldctoolkit.departures import bend_polynomial
-from ldctoolkit.metrics import JERK_WINDOW, METRIC_UNITS, MetricValues
+from ldctoolkit.metrics import DRIVER_METRICS, JERK_WINDOW, METRIC_UNITS, MetricValues
 from ldctoolkit.paths.uncorrected import RandomStream, UncorrectedPath, harmless, normals, uniforms
 from ldctoolkit.plant_options import Mismatch, Tyres, whole_multiple
 from ldctoolkit.scenarios import Scenarios
@@ -246,6 +246,11 @@ class Takeover:
         settle = math.ceil(whole_multiple(self.setup.settle, self.setup.dt) / self.setup.dt - 1e-9)
         return self.full_steps + settle + (self.rest > 0.0)
 
+    @property
+    def driven_for(self) -> FloatArray:
+        """Time from the trigger to the end of the settling horizon, (m,) [s]."""
+        return self.setup.dt * (self.steps - (self.rest > 0.0)) + self.rest
+
     @functools.cached_property
     def recorded(self) -> MetricValues:
         """Metrics of the recorded path, arrays of n; NaN where not valid, 0 for what only a system can cause."""
@@ -256,6 +261,8 @@ class Takeover:
             "t_back": self.path.back,
         }
         columns = {name: measured.get(name, np.zeros(T.size)) for name in METRIC_UNITS}
+        if self.setup.options.driver.ideal:
+            columns |= dict.fromkeys(DRIVER_METRICS, np.full(T.size, np.nan))
         return MetricValues(**{name: np.where(self.valid, column, np.nan) for name, column in columns.items()})
 
     def recorded_motion(self, t: FloatArray, rows: IntArray | slice = slice(None)) -> tuple[FloatArray, FloatArray]:

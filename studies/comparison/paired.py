@@ -72,6 +72,7 @@ def drawn_streams(options: PlantOptions) -> frozenset[RandomStream]:
         RandomStream.RESIDUAL_V: options.residuals.v,
         RandomStream.CAMERA: options.sensors.e_y_noise > 0 or options.sensors.e_psi_noise > 0,
         RandomStream.CURVATURE: options.sensors.curvature_noise > 0,
+        RandomStream.DRIVER: not options.driver.ideal,
     }
     return frozenset(stream for stream, used in uses.items() if used)
 

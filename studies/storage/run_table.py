@@ -21,7 +21,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.errors import LdcError, StoreError
-from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues, UserMetric
+from ldctoolkit.metrics import DRIVER_METRICS, METRIC_COLUMNS, METRIC_UNITS, MetricValues, UserMetric
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Window
 from ldctoolkit.surroundings import free_memory
@@ -55,6 +55,7 @@ def prefetched(function: Callable[[Item], Result], items: Iterable[Item]) -> Ite
 PATTERN = "part-*.parquet"
 
 _ENDLESS = "t_back"  # the metric that may be infinite: the edge is not back inside by the end
+_WITH_A_DRIVER: Final = frozenset(METRIC_COLUMNS[name] for name in DRIVER_METRICS)  # NaN without one
 _DIGITS = 16
 
 
@@ -136,6 +137,8 @@ def parse_part(
     status, failed = table["status"].to_numpy(), table["failed_solves"].to_numpy()
     for column in float_columns(window):
         good = table[column].is_not_nan() if column == METRIC_COLUMNS[_ENDLESS] else table[column].is_finite()
+        if column in _WITH_A_DRIVER and not good.any():
+            continue
         if not good.all() and not good.to_numpy()[status != EventStatus.INVALID].all():
             raise StoreError(path, f"broken: column {column} holds a value that is not finite")
     floats = np.stack([table[column].to_numpy() for column in columns])

@@ -53,7 +53,8 @@ SCENE: Final = 35  # then, in this order: amplitudes of the speed residual, fram
 GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1, MODEL_OLD, MODEL_WHEEL, FIRST, FILTER = 0, 8, 24, 28, 32, 36, 40, 44, 48
 
 
-SCORES: Final = 1 + len(SCENARIO_METRICS)  # the area, then the metrics of a scenario in the order of their table
+# the area, the metrics of a scenario in the order of their table, and the state of the assist
+SCORES: Final = 2 + len(SCENARIO_METRICS)
 
 P_TIME, P_X, P_DELTA, P_A_Y, P_COMMAND, PATH = 0, 1, 5, 6, 7, 8  # columns of a path's entry
 
