@@ -84,7 +84,7 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
         if not times.size:  # C has no empty arrays: a look at the lane that weighs nothing
             gains["G_yaw_rate"], times = np.zeros((law.F.shape[0], 1)), np.zeros(1)
             gains.pop("G_heading")
-        sent, stops = 1 + (0 if law.f_past is None else law.f_past.shape[1]), getattr(law, "conditioned", False) and law.f_i is not None
+        sent, stops = 1 + (0 if law.f_past is None else law.f_past.shape[1]), law.conditioned and law.f_i is not None
         return LawForm("linear", gains, times, sent=sent, conditioned=stops)
     if isinstance(law, barrier_filter.BarrierLaw):
         inner = law_form(law.inner, dt, law.inner_name)
