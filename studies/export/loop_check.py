@@ -240,7 +240,9 @@ class _Host:
             frames = [math.floor((j * dt - sensors.delay) / sensors.period + 1e-9) for j in (k - 1, k)]
             row["frame_new"] = k == 0 or frames[0] != frames[1]
         if self.code.driver:
-            row["driver_torque"] = side * np.asarray(preview.torque)
+            torque, limit = side * np.asarray(preview.torque), over.setup.options.driver.override_torque
+            seen = np.copysign(np.maximum(np.abs(torque), (1.0 + 1e-6) * limit), torque)  # in single precision too
+            row["driver_torque"] = np.where(np.abs(torque) > limit, seen, torque)
             if form.conditioned:
                 row["assist_saturated"] = preview.yielding  # the code itself knows the other reasons
         line, rate = x[:, 0] - over.setup.vehicle.edge_offset, x[:, 1]
