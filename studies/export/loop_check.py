@@ -68,7 +68,7 @@ class Check:
     def lines(self) -> tuple[str, ...]:
         """For the terminal."""
         left_out = f", {self.diverged} that diverge or whose solver failed left out" if self.diverged else ""
-        assist = f"  driver: {self.assist} states and authorities of the assist differ, of both precisions"
+        assist = f"  driver: {self.assist} states and authorities of the assist differ, in both precisions together"
         solver = f"; solver: {self.iterations} iterations at most, failed in {self.failed} steps"
         return (
             f"in the loop: {self.scenarios} scenarios, {self.departures} departures{left_out}, {self.steps} steps: "

@@ -572,8 +572,9 @@ def test_departures_in_which_the_toolkit_gave_up_are_left_out() -> None:
 # ------------------------------------------------------------------------------------------------ the FMU
 
 
-def test_fmu_gives_the_same_commands(folder: Path) -> None:
-    code = exported(BarrierFilter(inner="lqi"), folder, fmu=True)
+@pytest.mark.parametrize("setup", [REALISTIC, HELD])
+def test_fmu_gives_the_same_commands(setup: Setup, folder: Path) -> None:
+    code = exported(BarrierFilter(inner="lqi"), folder, setup, fmu=True)
     path = folder / "ldc_controller.fmu"
     assert fmpy.validation.validate_fmu(str(path)) == []
     with zipfile.ZipFile(path) as packed:
@@ -599,7 +600,12 @@ def test_fmu_gives_the_same_commands(folder: Path) -> None:
             slave.doStep(currentCommunicationPoint=k * 0.05, communicationStepSize=0.05)
             assert slave.getReal([references["delta"]])[0] == pytest.approx(recording.delta[k, i], abs=1e-9)
             assert slave.getInteger([references["phase"]])[0] == recording.phase[k, i]
+            if setup is HELD:
+                both = slave.getInteger([references["assist_state"]]) + slave.getReal([references["authority"]])
+                assert both == pytest.approx(recording.assist[:, k, i].tolist(), abs=1e-12)
         slave.reset()
+    assert ("authority" in references) == (setup is HELD)
+    assert setup is REALISTIC or {1.0, 2.0, 3.0} <= set(recording.assist[0][recording.counts])
     with pytest.raises(Exception, match="fmi2DoStep failed"):
         slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.01)
     slave.terminate()
