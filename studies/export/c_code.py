@@ -112,16 +112,15 @@ class Code:
     @property
     def driver(self) -> dict[str, Any] | None:
         """When the assist yields to the driver, in samples; None where nobody holds the wheel."""
-        options, dt = self.setup.options.driver, self.setup.dt
-        if options.ideal:
+        driver, dt = self.setup.options.driver, self.setup.dt
+        if driver.ideal:
             return None
-        over, calm = (max(1, math.ceil((t - 1e-9) / dt)) for t in (options.override_time, options.return_after))
-        share = min(1.0, dt / options.ramp) if options.ramp else 1.0
-        after = f"after {options.return_after:g} s without it" if options.return_after else "never"
-        text = f"more than {options.override_torque:g} N m for {options.override_time:g} s overrides the assist, which "
+        over, calm = (max(1, math.ceil((t - 1e-9) / dt)) for t in (driver.override_time, driver.return_after))
+        back = f"comes back after {driver.return_after:g} s below it" if driver.return_after else "does not come back"
+        text = f"more than {driver.override_torque:g} N m for {driver.override_time:g} s overrides the assist, which leaves"
         return {
-            "torque": c_number(options.override_torque), "over": over, "calm": calm if options.return_after else 0,
-            "share": c_number(share), "text": f"{text}leaves within {options.ramp:g} s and comes back: {after}",
+            "torque": c_number(driver.override_torque), "share": c_number(dt / max(driver.ramp, dt)), "over": over,
+            "calm": calm if driver.return_after else "INT32_MAX", "text": f"{text} in {driver.ramp:g} s and {back}",
         }  # fmt: skip
 
     @property

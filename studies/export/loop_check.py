@@ -241,8 +241,7 @@ class _Host:
             row["frame_new"] = k == 0 or frames[0] != frames[1]
         if self.code.driver:
             torque, limit = side * np.asarray(preview.torque), over.setup.options.driver.override_torque
-            seen = np.copysign(np.maximum(np.abs(torque), (1.0 + 1e-6) * limit), torque)  # in single precision too
-            row["driver_torque"] = np.where(np.abs(torque) > limit, seen, torque)
+            row["driver_torque"] = torque * np.where(np.abs(torque) > limit, 1.0 + 1e-6, 1.0)  # in single precision too
             if form.conditioned:
                 row["assist_saturated"] = preview.yielding  # the code itself knows the other reasons
         line, rate = x[:, 0] - over.setup.vehicle.edge_offset, x[:, 1]

@@ -298,18 +298,16 @@ static void yield_to_driver(ldc_state *s, ldc_work torque)
     const double now = s->authority + ((active != 0) ? LDC_RAMP_STEP : -LDC_RAMP_STEP);
     s->authority = (now > 1.0) ? 1.0 : ((now > 0.0) ? now : 0.0);
     if (within(torque, LDC_MAX_INPUT) != 0) { /* otherwise the count is held */
-        s->count = (pulls != active) ? 0 : (s->count + ((s->count < INT32_MAX) ? 1 : 0));
+        s->count = (pulls != active) ? 0 : (s->count + ((s->count < (INT32_MAX - 1)) ? 1 : 0));
         if ((active != 0) && (s->count >= LDC_OVERRIDE_STEPS)) { s->assist_state = LDC_ASSIST_OVERRIDDEN; }
         if ((s->assist_state == LDC_ASSIST_OVERRIDDEN) && (s->authority <= 0.0)) {
             s->assist_state = LDC_ASSIST_RELEASED;
             s->count = 1 - pulls;
         }
-{% if driver.calm %}
         if ((s->assist_state == LDC_ASSIST_RELEASED) && (s->count >= LDC_RETURN_STEPS)) {
             s->assist_state = LDC_ASSIST_ACTIVE;
             s->count = 0;
         }
-{% endif %}
     }
 }
 

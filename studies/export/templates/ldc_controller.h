@@ -53,7 +53,7 @@ typedef ldc_real ldc_work;
 #define LDC_ASSIST_RELEASED 3 /* the driver steers */
 #define LDC_OVERRIDE_TORQUE LDC_W({{ driver.torque }}) /* [N m] a larger torque of the driver, */
 #define LDC_OVERRIDE_STEPS {{ driver.over }} /* at so many samples in a row, overrides */
-#define LDC_RETURN_STEPS {{ driver.calm }} /* samples in a row without it until the assist comes back; 0: never */
+#define LDC_RETURN_STEPS {{ driver.calm }} /* samples in a row without it until the assist comes back; INT32_MAX: never */
 #define LDC_RAMP_STEP {{ driver.share }} /* change of authority in a sample */
 
 {% endif %}
