@@ -69,7 +69,7 @@ _MEANING: Final = {
     "heading": "[rad] change of the lane's heading from now until then",
     "frame_e_y": "[m] offset in the latest frame of the camera; the state above only starts the filter",
     "frame_e_psi": "[rad] heading in that frame", "frame_new": "1 if no earlier step had this frame",
-    "driver_torque": "[N m] of the driver, measured at the steering wheel",
+    "driver_torque": "[N m] of the driver at the steering wheel, positive to the left",
     "assist_saturated": "1 if the torque of the assist was at its limit at the last sample",
     "engage": "1: steer if a departure requires it; 0: hand over",
 }  # fmt: skip
@@ -116,11 +116,11 @@ class Code:
         if driver.ideal:
             return None
         over, calm = (max(1, math.ceil((t - 1e-9) / dt)) for t in (driver.override_time, driver.return_after))
-        back = f"comes back after {driver.return_after:g} s below it" if driver.return_after else "does not come back"
-        text = f"more than {driver.override_torque:g} N m for {driver.override_time:g} s overrides the assist, which leaves"
+        back = f"and comes back after {driver.return_after:g} s without it" if driver.return_after else "for good"
+        text = f"more than {driver.override_torque:g} N m for {driver.override_time:g} s overrides the assist, which"
         return {
             "torque": c_number(driver.override_torque), "share": c_number(dt / max(driver.ramp, dt)), "over": over,
-            "calm": calm if driver.return_after else "INT32_MAX", "text": f"{text} in {driver.ramp:g} s and {back}",
+            "calm": calm if driver.return_after else "INT32_MAX", "text": f"{text} leaves in {driver.ramp:g} s, {back}",
         }  # fmt: skip
 
     @property

@@ -173,7 +173,6 @@ static ldc_work law(ldc_state *s, const ldc_work x[4], const ldc_work r[], const
 {% if has.f_i %}
     delta += g[AT_F_I] * s->memory;
     {{ "if (s->yields == 0) { " if yields }}s->memory += LDC_DT * x[0];{{ " }" if yields }}
-
 {% endif %}
 {% elif law == "pid" %}
     const ldc_work e_p = x[0] + (g[AT_DISTANCE] * (x[2] - (g[AT_E_PSI_SS] * r[0])));
