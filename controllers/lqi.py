@@ -36,7 +36,7 @@ class LQI(StateWeights):
         0.05, unit="1/(m s)^2", lower=1e-6, upper=1e6, scale="log", description="weight on (integral of e_y)^2"
     )
     r_delta: float = gain(20_000.0, unit="1/rad^2", lower=1e-3, upper=1e6, scale="log", description="weight on delta^2")
-    conditioned: bool = gain(True, unit="1", description="stop the integral while the assist yields")
+    conditioned: bool = gain(False, unit="1", description="stop the integral while the assist yields")
 
     def prepare(self, plant: Plant) -> LinearLaw:
         """Schedule both gains and the feedforward over the scenarios' speeds."""

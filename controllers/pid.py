@@ -47,7 +47,7 @@ class PID(Controller):
     T_lp: float = gain(1.5, unit="s", lower=0.0, upper=10.0, description="preview time")
     T_t: float = gain(1.0, unit="s", lower=1e-3, upper=1e3, scale="log", description="tracking time against windup")
     delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
-    conditioned: bool = gain(True, unit="1", description="stop the integral of the offset while the assist yields")
+    conditioned: bool = gain(False, unit="1", description="stop the integral of the offset while the assist yields")
 
     def prepare(self, plant: Plant) -> PIDLaw:
         """Take steady cornering and the preview distance at every scenario's speed."""

@@ -83,12 +83,12 @@ def test_two_steps_by_hand() -> None:
 
 @pytest.mark.parametrize("filtered", [False, True])
 def test_the_integral_waits_where_the_assist_yields(filtered: bool) -> None:
-    """PID, LQI and a filter around them: no wind-up of the offset; back-calculation goes on; on request as before."""
+    """PID, LQI and a filter around them: no wind-up of the offset; back-calculation goes on; only on request."""
     plant, x = plant_at(20.0, 20.0, 30.0), np.tile([0.4, 0.0, 0.001, 0.0], (3, 1))
     yielding = np.array([True, False, True])
     for name, gains in (("pid", "K_i=-0.002, T_t=2, delta_max=0.001"), ("lqi", "q_i=0.3")):
         for conditions in (True, False):
-            text = gains if conditions else f"{gains}, conditioned=false"
+            text = f"{gains}, conditioned=true" if conditions else gains
             filter_ = BarrierFilter(inner=name, inner_gains=text, e_y_max=9.0)
             inner = inner_design(name, text, BarrierFilter)
             law = steering_law(filter_ if filtered else inner, plant, "test")
