@@ -181,6 +181,14 @@ def test_a_driver_in_the_loop(name: str, setup: Setup) -> None:
     assert "  driver: 0 states and authorities of the assist differ, in both precisions together" in result.lines
     if name in WAITING:
         assert recording.inputs["assist_saturated"].any()
+    if name == "lqi":  # the torque is positive to the left, whichever side the departure is on
+        scenarios = make_scenarios(360, 5)
+        paths = simulate(code.controller, scenarios, setup=setup, y_s=0.1, trajectories=True).trajectories
+        assert paths is not None
+        assert paths.driver_torque is not None
+        rows = recording.host.over.rows
+        torque = scenarios.side[rows] * paths.driver_torque[rows, 1]
+        np.testing.assert_allclose(recording.inputs["driver_torque"][5], torque, rtol=2e-6, atol=1e-9)
     if name == "lqi":  # one other state and one other authority are counted, in each precision
         recording.assist[:, *np.argwhere(recording.counts)[-1]] += 2e-6
         worse = check(recording, ["cc"])
