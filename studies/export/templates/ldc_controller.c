@@ -295,7 +295,7 @@ static void yield_to_driver(ldc_state *s, ldc_work torque)
     const int32_t pulls = (within(torque, LDC_OVERRIDE_TORQUE) == 0) ? 1 : 0;
     const int32_t active = (s->assist_state == LDC_ASSIST_ACTIVE) ? 1 : 0;
     const double now = s->authority + ((active != 0) ? LDC_RAMP_STEP : -LDC_RAMP_STEP);
-    s->authority = (now > 1.0) ? 1.0 : ((now > 0.0) ? now : 0.0);
+    s->authority = (now > (1.0 - 1.0e-9)) ? 1.0 : ((now > 1.0e-9) ? now : 0.0);
     if (within(torque, LDC_MAX_INPUT) != 0) { /* otherwise the count is held */
         s->count = (pulls != active) ? 0 : (s->count + ((s->count < (INT32_MAX - 1)) ? 1 : 0));
         if ((active != 0) && (s->count >= LDC_OVERRIDE_STEPS)) { s->assist_state = LDC_ASSIST_OVERRIDDEN; }

@@ -423,7 +423,8 @@ def by_the_rule(torque: FloatArray, driver: Driver, dt: float) -> tuple[FloatArr
                     state, over = 1, 0
             states[k, i], authorities[k, i] = state, authority
             change = dt / driver.ramp if driver.ramp else 1.0
-            authority = min(1.0, authority + change) if state == 1 else max(0.0, authority - change)
+            authority += change if state == 1 else -change
+            authority = 1.0 if authority > 1.0 - 1e-9 else authority if authority > 1e-9 else 0.0
     return states, authorities
 
 
