@@ -29,7 +29,7 @@ from ldctoolkit.vehicle.bicycle import VehicleParameters
 
 from .design import Design
 from .design_space import DesignBlock, check_blocks, load_laws, named_laws
-from .requirements import SETS, UserMetrics, criterion, loaded_metrics, metric, parse_requirement
+from .requirements import SETS, UserMetrics, check_measured, criterion, loaded_metrics, metric, parse_requirement
 from .standards import VEHICLES, standard_names
 from .vehicle_models import MODEL, vehicle_name, with_models
 
@@ -314,6 +314,17 @@ class Study(Part):
         for text in (*self._metrics, self.ranking.rank_by):
             if (row := user_rows().get(re.split("[ <>=]", text)[0])) and row.of[0] not in names:
                 raise InputError("metrics", f"without {row.of[0]}, which is named", value=text, allowed=names or "none")
+        return self
+
+    @model_validator(mode="after")
+    def _measured(self) -> Self:
+        objectives = self.search.objectives if self.search else ()
+        for path, names in (("ranking.require", self.ranking.require), ("ranking.pareto", self.ranking.pareto),
+                            ("search.objectives", objectives)):  # fmt: skip
+            try:
+                check_measured(names, self.plant)
+            except InputError as error:
+                raise error.at(path) from None
         return self
 
     @model_validator(mode="after")
