@@ -298,18 +298,20 @@ def _limits_light(ranking: RankedDesigns, position: int) -> Light:
         estimate for estimate in ranking.estimates(position) if estimate.requirement.set not in ("stable", "physical")
     ]
     missed = [estimate.text for estimate in limited if estimate.required and not estimate.met]
-    others = [estimate.text for estimate in limited if not estimate.required and not estimate.met]
+    others = [estimate for estimate in limited if not estimate.required and not estimate.met]
     level = f"{100 * ranking.confidence:g} %"
     close = [estimate.with_interval(level) for estimate in limited if estimate.met and estimate.uncertain]
     if impossible:
         return Light("Limits", "bad", f"{_capital(impossible)}.")
     if missed:
         return Light("Limits", "bad", f"{_capital(_list(missed))}.")
-    doubts = [f"Not required, but beyond comfort: {_list(others)}."] if others else []
+    sets = _list(list(dict.fromkeys(estimate.requirement.set for estimate in others))) if others else ""
+    doubts = [f"Not required, but beyond {sets}: {_list([estimate.text for estimate in others])}."] if others else []
     doubts += [f"Met on {ranking.sample(position)}, but not with certainty: {'; '.join(close)}."] if close else []
     if doubts:
         return Light("Limits", "warning", " ".join(doubts))
-    names = dict.fromkeys([*(requirement.set or requirement.text for requirement in ranking.requirements), "comfort"])
+    limits = (*ranking.requirements, *(estimate.requirement for estimate in limited))
+    names = dict.fromkeys(requirement.set or requirement.text for requirement in limits)
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
 
 

@@ -128,13 +128,15 @@ def test_acceptable_asks_what_euro_ncap_asks_of_the_override() -> None:
 def test_metrics_of_a_driver_are_those_of_a_plant_with_one() -> None:
     """Without one they are no column, no limit and no requirement, whatever the stored numbers are."""
     numbers = {"driver_torque_peak": [0, 3.2, 2.9, 2.9]}
-    results = results_of([9.0, 1.0, 2.0, 3.0], **numbers)
+    results = results_of([9.0, 1.0, 2.0, 3.0], n=100, **numbers)
     for setup, there in ((Setup(), False), (HANDS, True), (None, False)):
         given = dataclasses.replace(results, setup=setup)
         ranking, _ = ranked(given)
         for columns in (ranking.to_polars().columns, given.to_polars().columns, list(ranking.metrics.beside)):
             assert any(column.startswith(DRIVEN) for column in columns) == there
         assert ("acceptable" in {limit.set for limit in ranking.limits}) == there
+        beyond = "Not required, but beyond acceptable: Peak driver torque, 95 % quantile 3.20 N·m, limit 3.00"
+        assert light(verdict(ranking, given, setup), "Limits")[1].startswith(beyond if there else "Meets comfort.")
         if not there:
             for asked in ({"require": ["driver_torque_peak_p95 <= 3"]}, {"pareto": ["S", "overridden_share"]}):
                 with pytest.raises(InputError) as caught:
