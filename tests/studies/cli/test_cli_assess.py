@@ -206,7 +206,7 @@ def test_a_study_that_requires_the_whole_standard(few: tuple[Path, str], tmp_pat
     (tmp_path / "plain.toml").write_text(plain, encoding="utf-8")
     good("run", "plain.toml", "-o", "out", "--workers", 1, cwd=tmp_path)
     assert "standards" not in (page := page_at(tmp_path / "out" / "report.html")).text
-    assert not re.search("river torque|arallel|verridden|hand-over", page.text)
+    assert not re.search("river torque|once parallel|verridden|hand-over", " ".join(page.text.values()))
     table = (tmp_path / "out" / "ranking.csv").read_text(encoding="utf-8")
     assert not any(word in table for word in ("euroncap", "driver_torque", "against_", "overridden", "handover"))
     assert "ranking.require: 'acceptable' needs a driver" in bad("rank", "out", "--require", "acceptable", cwd=tmp_path)
