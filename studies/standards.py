@@ -130,6 +130,8 @@ class Standard(Part):
             raise InputError("drift.radius_m", problem, allowed=f"at {slowest:g} or below")
         if self.lane_width_m[0] > self.lane_width_m[1]:
             raise InputError("lane_width_m", value=self.lane_width_m, allowed="narrowest, widest")
+        if self.required is not None and not len(self.condition) <= self.required[1] >= self.required[0] >= 1:
+            raise InputError("required", value=self.required, allowed="how many conditions, and of how many")
         bends = any(grid.lateral_acceleration_m_s2 for grid in self.cells)
         for i, condition in enumerate(self.condition):
             path, limit = f"condition[{i}].limit", condition.limit

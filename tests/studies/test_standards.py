@@ -175,6 +175,9 @@ def test_a_test_of_ones_own(tmp_path: Path) -> None:
         ("-0.1", "[-0.1]", "condition[0].limit", ..., "one a lateral velocity"),
         ("0.5]\n[[cond", "0.6]\n[[cond", "cells", 0.6, "one of (0.2, 0.5)"),
         ("lateral_velocity_m_s = [0.2, 0.5]\n[[", "[[", "cells[0]", ..., ""),
+        ("false", "false\nrequired = [2, 1]", "required", (2, 1), "how many conditions, and of how many"),
+        ("false", "false\nrequired = [0, 1]", "required", (0, 1), "how many conditions, and of how many"),
+        ("false", "false\nrequired = [0, 0]", "required", (0, 0), "how many conditions, and of how many"),
         ("-0.1", "-0.1\nunit = 1", "condition[0].unit", ..., {"quantity"}),
     ],
 )
