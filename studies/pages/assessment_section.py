@@ -16,7 +16,7 @@ from ldctoolkit.version import __version__
 
 from ..assessment import QUANTITIES, Assessment, LightName, stored_assessment
 from ..ranking.verdict import design_name
-from ..standards import KM_H, OF_A_DRIVER, standard_names
+from ..standards import KM_H, QuantityName, standard_names
 from ..storage.folder_files import write_text
 from ..tables import Cell, Column, Row, Table, to_html
 from ..text import number, percent, plural, symbols
@@ -77,6 +77,12 @@ def score_text(assessment: Assessment) -> str:
     return f"{percent(assessment.score, 0)} of the standard cells pass as stated{robust}{points}"
 
 
+_DRIVEN: Final[dict[QuantityName, str]] = {
+    "driver_torque_peak": "the overriding torque is the largest one of a driver who means to leave the lane (against)",
+    "against_parallel": "the time against the driver is the longest of all these intents in the cell",
+}
+
+
 def condition_sentences(assessment: Assessment) -> Iterator[str]:
     """How many conditions hold where not all have to, and with which driver those on a driver's torque are assessed."""
     conditions, held, driver = assessment.standard.condition, assessment.held, assessment.driver
@@ -86,13 +92,13 @@ def condition_sentences(assessment: Assessment) -> Iterator[str]:
             f"{least} of {total} conditions have to hold. {len(conditions)} can be assessed, and {held} of these hold "
             f"in every standard cell as stated: {least} are {'reached' if held >= least else 'not reached'}."
         )
-    if any(condition.quantity in OF_A_DRIVER for condition in conditions):
+    if asked := {condition.quantity for condition in conditions} & _DRIVEN.keys():
         shares = zip(INTENTS, driver.shares, strict=True)
         intents = ", ".join(f"{name} {percent(share, 0)}" for name, share in shares if share)
         yield (
-            f"With the driver model of [plant.driver] ({driver.model}; {intents}): the overriding torque is the "
-            "largest torque of a driver who means to leave the lane (against), the time against the driver the longest "
-            "of all these intents in the cell. The other conditions are assessed without a driver."
+            f"With the driver model of [plant.driver] ({driver.model}; {intents}): "
+            f"{', '.join(text for name, text in _DRIVEN.items() if name in asked)}. The other conditions are assessed "
+            "without a driver."
         )
 
 

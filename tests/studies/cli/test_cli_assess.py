@@ -113,6 +113,10 @@ def test_a_plant_with_a_driver_is_assessed_with_it(tmp_path: Path) -> None:
     assert "3 of 4 conditions have to hold. 4 can be assessed" in said
     assert "With the driver model of [plant.driver] (grip; straight 75 %, against 25 %)" in said.replace("\u00a0", " ")
     assert "not assessable" not in said
+    bends = ldc("assess", "s.toml", "--design", LQR, "--standard", "un-r79-b1", "--no-tolerances", cwd=tmp_path).stdout
+    torque, time = "the overriding torque is the largest one", "the time against the driver is the longest"
+    assert [text in said for text in (torque, time)] == [True, True]
+    assert [text in bends for text in (torque, time)] == [True, False]
     ldc("run", "s.toml", "-o", "out", "--workers", 1, "--no-robustness", "--no-figures", cwd=tmp_path)
     page = page_at(tmp_path / "out" / "report.html")
     words = page.words("standards")
