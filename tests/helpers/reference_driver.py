@@ -301,7 +301,10 @@ class _Column(_Loop):
             self.state = solution.y[:, -1].copy()
             low = end
         if abs(high - self.path.T) < 1e-12:
-            self.x_T = self.path.side * self.lane_coordinates(high, self.state)
+            self.inside, self.at_t = False, math.nan
+            at_a_sample = self.rest == 0 or self.t_s + len(self.commands) * self.dt - high < 1e-12
+            if not at_a_sample and self.more > 0:
+                self._row(high)
 
     def _piece(self, low: float, high: float, sol: Any) -> Piece:
         """What is not smooth over a sample is looked up now: torques, and whether the assist is at its limit."""
