@@ -10,9 +10,7 @@ outward."""
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -80,13 +78,8 @@ class _Column(_Loop):
         self.driver, self.person, self.ratio = self.options.driver, person, ratio
         self.arms = self.driver.model == "arms"
         self.state = np.array([*self.state, ratio * self.delta_0 if self.arms else 0.0, 0.0])
-        self.assist, self.beyond, self.below, self.closeness, self.was_overridden = (
-            AssistState.ACTIVE,
-            0,
-            0,
-            math.inf,
-            0,
-        )
+        self.assist, self.beyond, self.below, self.was_overridden = AssistState.ACTIVE, 0, 0, False
+        self.closeness = math.inf
         self.authority_0 = self.authority_1 = 1.0
         self.k, self.t_k, self.q_k, self.q_target = 0, self.t_s, 0.0, 0.0
         self.handovers: list[float] = []
@@ -108,8 +101,7 @@ class _Column(_Loop):
         """(e_psi'', steering angle, force of the front tyres) with which the recorded path is driven."""
         path, p, tyres, (e_psi, d_e_psi) = self.path, self.true, self.options.tyres, attitude.tolist()
         v, omega = self.v(t), d_e_psi + self.yaw_rate(t)
-        rate = path.side * float(path.dy(t if inside else path.T))
-        bend = path.side * float(path.ddy(t)) if inside else 0.0
+        rate, bend = (path.side * value for value in self.recorded_motion(t, inside))
         dv = self.dv(t, inside)
         if tyres.model == "linear":
             v_y = rate - v * e_psi
@@ -152,22 +144,26 @@ class _Column(_Loop):
             self.meant.append(CubicSpline(times, [self._along(float(t), found.sol(t), inside)[1:] for t in times]))
         self.F_0 = float(self.meant[0](self.t_s)[1])
 
-    def recorded_bend(self, t: float) -> float:
-        """Outward."""
-        return float(self.path.ddy(t)) if t < self.path.T - 1e-9 else 0.0
+    def recorded_motion(self, t: float, inside: bool) -> tuple[float, float]:
+        """y' and y'' of the recorded path, outward; after T the second fades."""
+        path = self.path
+        if inside:
+            return float(path.dy(t)), float(path.ddy(t))
+        rate, bend, left = float(path.dy(path.T)), float(path.ddy(path.T)), math.exp((path.T - t) / NEUROMUSCULAR)
+        return rate + bend * NEUROMUSCULAR * (1.0 - left), bend * left
 
     def _intend(self, k: int, t: float, x: np.ndarray) -> None:
         """q at the sample, and where it goes during it."""
         self.q_k = self.q(t) if k > 0 else 0.0
         self.t_k, self.k, intent = t, k, self.person.intent
-        self.q_target = 0.0
+        self.q_target, bend = 0.0, self.recorded_motion(t, t <= self.path.T)[1]
         if intent == "against":
-            self.q_target = self.person.across * (k * self.dt < 1.0 - 1e-9) - self.recorded_bend(t)
+            self.q_target = self.person.across * (k * self.dt < 1.0 - 1e-9) - bend
         elif intent == "returns" and k * self.dt >= self.person.reaction - 1e-9:
             w = self.person.frequency
             e_y, rate = self.path.side * x[:2]
             wanted = -(w**2 * e_y + 2 * self.driver.return_damping * w * rate)
-            self.q_target = min(max(wanted, -MOST_RETURNING), MOST_RETURNING) - self.recorded_bend(t)
+            self.q_target = min(max(wanted, -MOST_RETURNING), MOST_RETURNING) - bend
 
     def q(self, t: float) -> float:
         return self.q_target + (self.q_k - self.q_target) * math.exp(-(t - self.t_k) / NEUROMUSCULAR)
@@ -188,10 +184,12 @@ class _Column(_Loop):
         return delta + self.gain * q, rate + self.gain * d_q, force + self.true.m * share * q
 
     def strength(self, t: float) -> float:
+        """s, like the authority along a straight line from sample to sample."""
         if self.person.intent != "follows":
             return 1.0
-        gone = (t - self.t_s - self.person.reaction) / RELAXING
-        return 1.0 - (1.0 - RELAXED) * min(max(gone, 0.0), 1.0)
+        gone = (self.k * self.dt + np.array([0.0, self.dt]) - self.person.reaction) / RELAXING
+        now, then = 1.0 - (1.0 - RELAXED) * gone.clip(0.0, 1.0)
+        return float(now + (then - now) * (t - self.t_k) / self.dt)
 
     def authority(self, t: float) -> float:
         return self.authority_0 + (self.authority_1 - self.authority_0) * (t - self.t_k) / self.dt
@@ -273,7 +271,7 @@ class _Column(_Loop):
         if self.assist == AssistState.ACTIVE:
             self.beyond = self.beyond + 1 if driver > d.override_torque else 0
             if self.beyond > 0 and self.beyond * self.dt >= d.override_time - 1e-9:
-                self.assist, self.beyond, self.was_overridden = AssistState.OVERRIDDEN, 0, 1
+                self.assist, self.beyond, self.was_overridden = AssistState.OVERRIDDEN, 0, True
                 self.handovers.append(assist)
         if self.assist == AssistState.OVERRIDDEN and self.authority_0 == 0:
             self.assist, self.below = AssistState.RELEASED, 0
@@ -281,12 +279,6 @@ class _Column(_Loop):
             self.below = 0 if driver > d.override_torque else self.below + 1
             if self.below * self.dt >= d.return_after - 1e-9:
                 self.assist, self.beyond = AssistState.ACTIVE, 0
-
-    def _split_at_T(self, low: float, high: float) -> Iterator[tuple[float, float]]:
-        for a, b in super()._split_at_T(low, high):
-            bends = [self.t_s + self.person.reaction + part for part in (0.0, RELAXING)]
-            inner = [t for t in bends if a + 1e-9 < t < b - 1e-9 and self.person.intent == "follows"]
-            yield from itertools.pairwise([a, *inner, b])
 
     def _drive(self, low: float, high: float, u: float) -> None:
         inside = self.inside = high <= self.path.T + 1e-12

@@ -246,6 +246,7 @@ class _Loop:
         self.curvature_draw, self.rtol = curvature_draw, rtol
         self.full = math.floor((path.T - t_s) / dt)
         self.rest = path.T - t_s - self.full * dt
+        self.rest = self.rest if self.rest > 1e-12 else 0.0
         self.more = math.ceil(settle / dt - 1e-9)
         x_0, self.delta_0 = self.recorded(t_s), self.attitude(t_s)[1]
         self.state = np.append(self.vehicle_coordinates(t_s, x_0), self.delta_0)
