@@ -257,7 +257,8 @@ class _Column(_Loop):
         moved = self.dt / self.driver.ramp if self.driver.ramp > 0 else 1.0
         rises = self.assist == AssistState.ACTIVE
         super()._command(k, t, x)
-        self.authority_1 = min(max(self.authority_0 + (moved if rises else -moved), 0.0), 1.0)
+        after = self.authority_0 + (moved if rises else -moved)
+        self.authority_1 = 0.0 if after < 1e-9 else 1.0 if after > 1.0 - 1e-9 else after
         self._intend(k, t, x)
         self.inside, self.at_t = t < self.path.T - 1e-12, math.nan
         self.rows_torque.append((before, (math.nan, math.nan)))
