@@ -267,7 +267,7 @@ class _Column(_Loop):
 
     def _supervise(self, driver: float, assist: float) -> None:
         d = self.driver
-        if d.model == "arms" or self.person.share > 0:
+        if self.assist != AssistState.OVERRIDDEN:
             self.closeness = min(self.closeness, abs(driver / d.override_torque - 1.0))
         if self.assist == AssistState.ACTIVE:
             self.beyond = self.beyond + 1 if driver > d.override_torque else 0
