@@ -57,6 +57,7 @@ class Driven:
     and assist just before and just after each sample (k, 2, 2)."""
 
     S: float
+    T: float
     t: np.ndarray
     x: np.ndarray
     delta: np.ndarray
@@ -294,7 +295,6 @@ class _Column(_Loop):
             self.state = solution.y[:, -1].copy()
             low = end
         if abs(high - self.path.T) < 1e-12:
-            self.inside, self.at_t = False, math.nan
             at_a_sample = self.rest == 0 or self.t_s + len(self.commands) * self.dt - high < 1e-12
             if not at_a_sample and self.more > 0:
                 self._row(high)
@@ -374,6 +374,7 @@ def drive(
     limited = sum(float(np.trapezoid(flags, grid)) for grid, _, _, flags in loop.dense)
     return Driven(
         S=absolute_area([before, *(piece for piece in loop.pieces if piece.end <= path.T + 1e-12)]),
+        T=path.T,
         t=np.array(loop.rows_t),
         x=np.array(loop.rows_x),
         delta=np.array(loop.rows_delta),

@@ -88,12 +88,6 @@ def run(law: Controller, options: PlantOptions, scenarios: Scenarios, **more: An
     return simulate(law, scenarios, options=options, trajectories=True, **given)
 
 
-def at_T(scenarios: Scenarios, out: Outcome, i: int) -> bool:
-    """A sample is at T: nothing is recorded from there on."""
-    after = (scenarios.T[i] - out.t_s[i]) / DT
-    return abs(after - round(after)) < 1e-9
-
-
 QUICK = ("grip", "arms", "grip, everything", "arms, everything")
 
 
@@ -111,21 +105,29 @@ def test_random_departures_equal_the_reference(case: str, n: int) -> None:
             i = int(over.rows[j])
             reference = expected(scenarios, options, i, reference_loop.of_row(law, j))
             if reference.margin > 1e-4:
-                assert_same(out, i, reference)
+                assert_same(out, i, reference, ends_at_a_sample=i % 2 == 0 and options.residuals.ideal)
                 compared += 1
     assert compared > 0.8 * n
 
 
-def assert_same(out: Outcome, i: int, reference: Driven) -> None:
-    """The states of the assist at every sample too, and the other metrics within 1 % or 10 mN m; times within the
-    substeps of their edges."""
+def assert_same(out: Outcome, i: int, reference: Driven, *, ends_at_a_sample: bool) -> None:
+    """The torques at the samples before T within 1 % of the largest, the states of the assist, and the other metrics
+    within 1 % or 10 mN m; times within a substep at either edge. Between T and the next sample the recorded path may go
+    on as it was: a torque that is largest there is not compared."""
     assert out.S[i] == pytest.approx(reference.S, rel=1e-4, abs=1e-4)
     for name, value in reference.metrics.items():
-        least = 0.03 if name.startswith("against") else 0.01 if name.endswith(("mean", "step")) else 1e-6
-        assert getattr(out.metrics, name)[i] == pytest.approx(value, rel=0.01, abs=least), name
-    states, authority = at_samples(out, i, "assist_state"), at_samples(out, i, "authority")
-    np.testing.assert_array_equal(states[: len(reference.states)], reference.states)
-    np.testing.assert_allclose(authority[: len(reference.states)], reference.authority, rtol=0, atol=1e-12)
+        least = 0.06 if name.startswith("against") else 0.01 if name.endswith(("mean", "step")) else 1e-6
+        if ends_at_a_sample or name != "driver_torque_peak":
+            assert getattr(out.metrics, name)[i] == pytest.approx(value, rel=0.01, abs=least), name
+    count = len(reference.states)
+    names = "assist_state", "authority", "driver_torque", "assist_torque", "t"
+    states, authority, driver, assist, t = (at_samples(out, i, name)[:count] for name in names)
+    np.testing.assert_array_equal(states, reference.states)
+    np.testing.assert_allclose(authority, reference.authority, rtol=0, atol=1e-9)
+    before = t <= reference.T + 1e-9
+    for found, expected_torque in ((driver, reference.torque[:, 0, 0]), (assist, reference.torque[:, 0, 1])):
+        most = 0.01 * np.abs(expected_torque).max()
+        np.testing.assert_allclose(found[before], expected_torque[before], rtol=0, atol=most)
 
 
 def at_samples(out: Outcome, i: int, name: str) -> np.ndarray:
