@@ -202,7 +202,8 @@ def begin_sample(setting, w, k, intended, to):
         gives = _RELAXED - 1.0 if intent == _FOLLOWS else 0.0
         w[data.TENSE_START + l], w[data.TENSE_END + l] = fma(gives, late, 1.0), fma(gives, later, 1.0)
         authority = w[data.AUTHORITY + l]
-        end = min(authority + ramp, 1.0) if w[data.ASSIST_STATE + l] == ACTIVE else max(authority - ramp, 0.0)
+        end = authority + (ramp if w[data.ASSIST_STATE + l] == ACTIVE else -ramp)
+        end = 1.0 if end > 1.0 - SAME else (end if end > SAME else 0.0)  # whole ramps, whatever their rounding
         w[data.AUTHORITY_START + l], w[data.AUTHORITY + l] = end if at_once else authority, end
 
 
