@@ -210,15 +210,20 @@ class Takeover:
 
     @functools.cached_property
     def recorded_steering(self) -> FloatArray:
-        """With a driver, and unless it is a parabola: y' and y'' of the recorded path at half samples, (m, k, 2)."""
-        if not self.recorded_bend.size or not self.setup.options.driver.holds:
+        """With a driver, and unless it is a parabola: y' and y'' of the path meant at half samples, (m, k, 2)."""
+        path = _meant(self.driven, self.setup)
+        if not (path.modes_v.size or self.scenarios.drift is not None) or not self.setup.options.driver.holds:
             return np.zeros((0, 0, 2))
         half, T = 0.5 * self.setup.dt, self.triggered.T[:, None]
         lag, tail = data.NEUROMUSCULAR_LAG, math.ceil(60.0 * data.NEUROMUSCULAR_LAG / half)
         t = self.start[:, None] + half * np.arange(2 * (self.full_steps.max() + 2) + tail)
         inside = np.minimum(t, T)
-        bend, fallen = self.driven.lateral_acceleration(inside), np.exp((inside - t) / lag)
-        return np.stack([self.driven.lateral_rate(inside) + bend * lag * (1.0 - fallen), bend * fallen], axis=-1)
+        bend, after, fallen = path.lateral_acceleration(inside), t - inside, np.exp((inside - t) / lag)
+        slope = (bend - path.lateral_acceleration(inside - _SPEED_STEP)) / _SPEED_STEP
+        steep = np.where(after > 0.0, bend / lag + slope, 0.0)  # as in `kernel.driver`
+        fading = lag * ((bend + lag * steep) * (1.0 - fallen) - steep * after * fallen)
+        rate = path.lateral_rate(inside) + np.where(after > 0.0, fading, 0.0)
+        return np.stack([rate, (bend + steep * after) * fallen], axis=-1)
 
     @functools.cached_property
     def stiff(self) -> int:
@@ -343,12 +348,23 @@ class Takeover:
 
         v = driven.speed(start)
         vehicles = true_vehicles(model.parameters, options.mismatch, options.tyres, driven.scenarios, seed)
-        x_0, delta_0 = _state(driven, vehicles, setup, start)
+        meant = _meant(driven, setup)
+        x_0, delta_0 = _state(meant, vehicles, setup, start)
+        if meant is not driven:
+            x_0[:, 0] = driven.lateral(start) + offset
         S_uncorrected, S_before = np.where(valid, [S_uncorrected, S_before], np.nan)
         return cls(
             scenarios, setup, y_s, valid, path, rows, t_s, S_uncorrected, S_before, driven, vehicles, start,
             x_0[:, :4], delta_0, full_steps, rest, setup.plant(v), x_0[:, 4:],
         )  # fmt: skip
+
+
+def _meant(path: UncorrectedPath, setup: Setup) -> UncorrectedPath:
+    """The recorded paths as a driver means and steers them: without the drawn residual of y, which nobody steers."""
+    residuals = setup.options.residuals
+    if not (residuals.y and setup.options.driver.holds):
+        return path
+    return UncorrectedPath.of(path.scenarios, dataclasses.replace(residuals, y=False), setup.seed)
 
 
 def _state(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -490,13 +506,8 @@ def _driver(over: Takeover) -> list[FloatArray]:
     drawn = np.minimum(ranges[:, :1] + (ranges[:, 1:] - ranges[:, :1]) * draws[:, 1:].T, ranges[:, 1:])
     v, wheelbase = over.plant.v, car.l_f + car.l_r
     trail = (1.0 - driver.boost) * driver.trail * car.m / setup.vehicle.steering_ratio
-    return [
-        intent,
-        *drawn,
-        car.steady_state(v, setup.convention).delta / v,
-        np.full(over.m, car.l_r / wheelbase),
-        trail,
-    ]
+    per_a_y = car.steady_state(v, setup.convention).delta / v, np.full(over.m, car.l_r / wheelbase)
+    return [intent, *drawn, *per_a_y, trail]
 
 
 def _earlier_frames(over: Takeover) -> FloatArray:

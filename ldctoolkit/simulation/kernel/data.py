@@ -164,12 +164,12 @@ STIFFNESS_F, STIFFNESS_R, AXLE_F, AXLE_R, ARM_F, ARM_R, PRINTED_TERM, GRIP_F, GR
 INTENT, STRENGTH, REACTION, ACROSS, FREQUENCY, DELTA_PER_A_Y, FORCE_PER_A_Y, TRAIL_TORQUE = _next(8)
 # the recorded path: y' at the trigger, and the twin that drives it; steering and force that are held
 HOLD_RATE, HOLD_ANGLE, HOLD_FRONT = _next(3)
-TWIN_PSI, TWIN_TURN, TWIN_YAW, TWIN_DELTA, TWIN_FRONT, TWIN_SLIP, TWIN_H = _next(7)
-TWIN_PSI_BEFORE, TWIN_TURN_BEFORE, TWIN_YAW_BEFORE = _next(3)
+TWIN_PSI, TWIN_TURN, TWIN_YAW, TWIN_DELTA, TWIN_FRONT, TWIN_SLIP, TWIN_H, TWIN_STEPS = _next(8)
+TWIN_PSI_BEFORE, TWIN_TURN_BEFORE, TWIN_PSI_AFTER, TWIN_TURN_AFTER = _next(4)
 # over a sample: its start [s]; angle and front force that the driver means at start, middle and end; lateral
-# acceleration of his own; tension and authority at both ends
+# acceleration of his own now, and where it goes; tension and authority at both ends
 SAMPLE_START = next(_rows)
-MEANT_START, MEANT_MID, MEANT_END, MEANT_FORCE_START, MEANT_FORCE_MID, MEANT_FORCE_END, OWN_A_Y = _next(7)
+MEANT_START, MEANT_MID, MEANT_END, MEANT_FORCE_START, MEANT_FORCE_MID, MEANT_FORCE_END, OWN_A_Y, OWN_TARGET = _next(8)
 TENSE_START, TENSE_END, AUTHORITY_START, AUTHORITY = _next(4)
 # column angle and rate at the steering wheel, or z of a grip in the first; torques of driver and assist; samples that
 # the torque has been beyond its limit, or below; 1 where the law has to know that the assist yields; 1 from the moment

@@ -46,24 +46,31 @@ _MOST: Final = 0.999  # share of its largest force that a tyre is steered to
 
 @numba.njit(**OPTIONS)
 def _recorded_motion(setting, w, motion, block):
-    """Rates y' and y'' of the recorded path at the times in `TIME`, into `WORK_0` and `WORK_1`; straight after T."""
-    if motion.shape[0]:
-        for l in range(L):
-            i = min(block * L + l, motion.shape[0] - 1)
-            at = 2.0 * (w[data.TIME + l] - w[data.T_0 + l]) / setting[data.DT]
-            j = min(int(at + SAME), motion.shape[1] - 2)
-            share = min(max(at - j, 0.0), 1.0)
-            for n in range(2):
-                w[data.WORK_0 + n * L + l] = motion[i, j, n] + share * (motion[i, j + 1, n] - motion[i, j, n])
-        return
-    for l in range(int(setting[data.WIDTH])):
+    """Rates y' and y'' of the recorded path at the times in `TIME`, into `WORK_0` and `WORK_1`.
+
+    After T the driver straightens: y'' = (A + B s) exp(-s/tau) goes on with the value and the slope that it has at T.
+    """
+    h, tau, table = 0.5 * setting[data.DT], data.NEUROMUSCULAR_LAG, motion.shape[0] > 0
+    for l in range(L if table else 0):
+        i = min(block * L + l, motion.shape[0] - 1)
+        at = (w[data.TIME + l] - w[data.T_0 + l]) / h
+        j = min(int(at + SAME), motion.shape[1] - 2)
+        u = min(max(at - j, 0.0), 1.0)
+        # the cubic through y' at both ends with the slopes y'', and its own slope
+        rate, bend, bend_after = motion[i, j, 0], motion[i, j, 1], motion[i, j + 1, 1]
+        rise = motion[i, j + 1, 0] - rate
+        a, b = h * (bend + bend_after) - 2.0 * rise, 3.0 * rise - h * (2.0 * bend + bend_after)
+        w[data.WORK_0 + l] = rate + u * (h * bend + u * (b + u * a))
+        w[data.WORK_1 + l] = bend + u * (2.0 * b + 3.0 * u * a) / h
+    for l in range(0 if table else int(setting[data.WIDTH])):
         a, b = w[data.T_0 + l], min(w[data.TIME + l], w[data.T + l])
-        c_0, c_1, c_2 = w[data.BEND_0 + l], w[data.BEND_1 + l], w[data.BEND_2 + l]
-        bend = fma(b, fma(b, c_2, c_1), c_0)
+        c_0, c_1, c_2, after = w[data.BEND_0 + l], w[data.BEND_1 + l], w[data.BEND_2 + l], w[data.TIME + l] - b
+        bend, slope = fma(b, fma(b, c_2, c_1), c_0), fma(2.0 * b, c_2, c_1)
         whole = b * fma(b, fma(b, c_2 * (1.0 / 3.0), 0.5 * c_1), c_0)
         rate = w[data.HOLD_RATE + l] + (whole - a * fma(a, fma(a, c_2 * (1.0 / 3.0), 0.5 * c_1), c_0))
-        fallen = decay(-_LAG * max(w[data.TIME + l] - b, 0.0))
-        w[data.WORK_0 + l], w[data.WORK_1 + l] = fma(bend * (1.0 / _LAG), 1.0 - fallen, rate), bend * fallen
+        fallen, steep = decay(-_LAG * max(after, 0.0)), fma(bend, _LAG, slope)
+        w[data.WORK_0 + l] = rate + tau * (fma(tau, steep, bend) * (1.0 - fallen) - steep * after * fallen)
+        w[data.WORK_1 + l] = fma(steep, after, bend) * fallen
 
 
 @numba.njit(forceinline=True, **OPTIONS)
@@ -102,28 +109,31 @@ def _steer_along(setting, w):
             most = _MOST * w[data.GRIP_F + l] * cosine(delta)  # beyond it the path is not driven
             front = min(max(a_y - rear, -most), most)
             slip = _angle_of_force(w, l, front / cosine(delta), shape, w[data.TWIN_SLIP + l])
-            w[data.TWIN_SLIP + l] = slip
             delta = slip + arctan(fma(w[data.AXLE_F + l], omega, across) * per_v)
         else:
             across = fma(-v, psi, p)
             rear = w[data.STIFFNESS_R + l] * (per_v * fma(w[data.AXLE_R + l], omega, -across))
+            slip = 0.0
             front = fma(v, lane, fma(w[data.PRINTED_TERM + l] * turn, per_v, fma(-dv, psi, bend))) - rear
             delta = front / w[data.STIFFNESS_F + l] + per_v * fma(w[data.AXLE_F + l], omega, across)
-        w[data.TWIN_FRONT + l], w[data.TWIN_DELTA + l] = front, delta
-        w[data.TWIN_YAW + l] = fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear)
+        moves, yaw = w[data.TWIN_H + l] > 0.0, fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear)
+        w[data.TWIN_SLIP + l] = slip if moves else w[data.TWIN_SLIP + l]  # no more of Newton's steps than alone
+        w[data.TWIN_DELTA + l] = delta if moves else w[data.TWIN_DELTA + l]
+        w[data.TWIN_FRONT + l] = front if moves else w[data.TWIN_FRONT + l]
+        w[data.TWIN_YAW + l] = yaw if moves else w[data.TWIN_YAW + l]
 
 
 @numba.njit(**OPTIONS)
 def lay_recorded(setting, w, motion, block, k, intended, to):
     """Recorded steering over sample k, from `to` on: angle, front force at its start, middle and end; y'' at its start.
 
-    The yaw motion of a twin on the recorded path, by Heun's method; each sample once and in order.
+    The yaw motion of a twin on the recorded path, by Runge and Kutta's method; each sample once and in order.
     """
     half, most = 0.5 * setting[data.DT], 1
     for l in range(L):
-        most = max(most, math.ceil(0.25 * w[data.N_SUBSTEPS + l]))
-    for l in range(L):
-        w[data.TIME + l] = w[data.T_0 + l] + k * setting[data.DT]
+        w[data.TWIN_STEPS + l] = math.ceil(max(w[data.N_SUBSTEPS + l], 1.0) * (1.0 / 6.0))
+        most = max(most, int(w[data.TWIN_STEPS + l]))
+        w[data.TIME + l], w[data.TWIN_H + l] = w[data.T_0 + l] + k * setting[data.DT], 1.0
     if k == 0:
         copy(w, data.HOLD_RATE, w, data.E_Y_RATE, 1)
         copy(w, data.TWIN_PSI, w, data.E_PSI, 2)
@@ -139,26 +149,35 @@ def lay_recorded(setting, w, motion, block, k, intended, to):
         copy(intended, to + n * L, w, data.TWIN_DELTA, 1)
         copy(intended, to + (3 + n) * L, w, data.TWIN_FRONT, 1)
         for j in range(most if n < 2 else 0):
-            for l in range(L):
-                count = max(math.ceil(0.25 * w[data.N_SUBSTEPS + l]), 1.0)
-                h = half / count if j < count else 0.0
-                w[data.TWIN_H + l] = h
-                w[data.TIME + l] = (
-                    w[data.T_0 + l] + (k * setting[data.DT] + half * n) + half * min((j + 1) / count, 1.0)
-                )
-                psi, turn, yaw = w[data.TWIN_PSI + l], w[data.TWIN_TURN + l], w[data.TWIN_YAW + l]
-                w[data.TWIN_PSI_BEFORE + l], w[data.TWIN_TURN_BEFORE + l] = psi, turn
-                w[data.TWIN_YAW_BEFORE + l] = yaw
-                w[data.TWIN_PSI + l], w[data.TWIN_TURN + l] = fma(h, turn, psi), fma(h, yaw, turn)
+            _twin_step(setting, w, motion, block, k * setting[data.DT] + half * n, j)
+
+
+@numba.njit(**OPTIONS)
+def _twin_step(setting, w, motion, block, since, j):
+    """Step j of the twin in the half sample that begins so long after the trigger."""
+    for l in range(L):
+        w[data.TWIN_H + l] = 0.5 * setting[data.DT] / w[data.TWIN_STEPS + l] if j < w[data.TWIN_STEPS + l] else 0.0
+    copy(w, data.TWIN_PSI_BEFORE, w, data.TWIN_PSI, 2)
+    copy(w, data.TWIN_PSI_AFTER, w, data.TWIN_PSI, 2)
+    for stage in range(4):
+        weight, reach = (1.0 / 6.0) if stage % 3 == 0 else (1.0 / 3.0), 0.5 if stage < 2 else 1.0
+        for l in range(int(setting[data.WIDTH])):
+            h, turn, yaw = w[data.TWIN_H + l], w[data.TWIN_TURN + l], w[data.TWIN_YAW + l]
+            w[data.TIME + l] = w[data.T_0 + l] + (since + min(fma(h, reach, j * h), 0.5 * setting[data.DT]))
+            w[data.TIME + l] += 0.5 * setting[data.DT] if h == 0.0 else 0.0
+            psi_after = fma(weight * h, turn, w[data.TWIN_PSI_AFTER + l])
+            turn_after = fma(weight * h, yaw, w[data.TWIN_TURN_AFTER + l])
+            w[data.TWIN_PSI_AFTER + l], w[data.TWIN_TURN_AFTER + l] = psi_after, turn_after
+            psi, rate = (
+                fma(reach * h, turn, w[data.TWIN_PSI_BEFORE + l]),
+                fma(reach * h, yaw, w[data.TWIN_TURN_BEFORE + l]),
+            )
+            w[data.TWIN_PSI + l] = psi_after if stage == 3 else psi
+            w[data.TWIN_TURN + l] = turn_after if stage == 3 else rate
+        if stage % 2 == 0:
             lay_time(setting, w)
             _recorded_motion(setting, w, motion, block)
-            _steer_along(setting, w)
-            for l in range(L):
-                h = 0.5 * w[data.TWIN_H + l]
-                turn = w[data.TWIN_TURN_BEFORE + l]
-                w[data.TWIN_PSI + l] = fma(h, turn + w[data.TWIN_TURN + l], w[data.TWIN_PSI_BEFORE + l])
-                w[data.TWIN_TURN + l] = fma(h, w[data.TWIN_YAW_BEFORE + l] + w[data.TWIN_YAW + l], turn)
-            _steer_along(setting, w)
+        _steer_along(setting, w)
 
 
 # ------------------------------------------------------------------------------------------------ what he means
@@ -170,7 +189,6 @@ def begin_sample(setting, w, k, intended, to):
     dt = setting[data.DT]
     at_once = setting[data.RAMP] == 0.0
     ramp = 1.0 if at_once else dt / setting[data.RAMP]
-    fallen, half_fallen = decay(-_LAG * dt), decay(-0.5 * _LAG * dt)
     copy(w, data.MEANT_START, intended, to, 6)
     if k == 0:
         copy(w, data.HOLD_FRONT, intended, to + 3 * L, 1)
@@ -178,26 +196,17 @@ def begin_sample(setting, w, k, intended, to):
     copy(w, data.WORK_0, intended, to + 6 * L, 1)
     t, steers_out = k * dt, k * dt < _ACROSS_FOR - SAME
     for l in range(int(setting[data.WIDTH])):
-        intent, reaction, q, f = w[data.INTENT + l], w[data.REACTION + l], w[data.OWN_A_Y + l], w[data.FREQUENCY + l]
+        intent, reaction, f = w[data.INTENT + l], w[data.REACTION + l], w[data.FREQUENCY + l]
         back = -f * fma(f, w[data.E_Y + l], 2.0 * setting[data.RETURN_DAMPING] * w[data.E_Y_RATE + l])
         back = min(max(back, -_HARDEST), _HARDEST)
         returns, holds = (intent == _RETURNS) & (t >= reaction - SAME), intent == _STRAIGHT
         target = back if returns else (w[data.ACROSS + l] if steers_out else 0.0)
         target = target - w[data.WORK_0 + l] if returns | (intent == _AGAINST) else 0.0
-        q_mid, q_end = fma(q - target, half_fallen, target), fma(q - target, fallen, target)
-        angle, force = w[data.DELTA_PER_A_Y + l], w[data.FORCE_PER_A_Y + l]
-        a, b, c = w[data.MEANT_START + l], w[data.MEANT_MID + l], w[data.MEANT_END + l]
-        held = w[data.HOLD_ANGLE + l]
-        w[data.MEANT_START + l], w[data.MEANT_MID + l] = (
-            held if holds else fma(angle, q, a),
-            held if holds else fma(angle, q_mid, b),
-        )
-        w[data.MEANT_END + l] = held if holds else fma(angle, q_end, c)
-        a, b, c = w[data.MEANT_FORCE_START + l], w[data.MEANT_FORCE_MID + l], w[data.MEANT_FORCE_END + l]
-        held = w[data.HOLD_FRONT + l]
-        w[data.MEANT_FORCE_START + l] = held if holds else fma(force, q, a)
-        w[data.MEANT_FORCE_MID + l] = held if holds else fma(force, q_mid, b)
-        w[data.MEANT_FORCE_END + l], w[data.OWN_A_Y + l] = held if holds else fma(force, q_end, c), q_end
+        w[data.OWN_TARGET + l] = target
+        angle, force = w[data.HOLD_ANGLE + l], w[data.HOLD_FRONT + l]
+        for n in range(3):
+            w[data.MEANT_START + n * L + l] = angle if holds else w[data.MEANT_START + n * L + l]
+            w[data.MEANT_FORCE_START + n * L + l] = force if holds else w[data.MEANT_FORCE_START + n * L + l]
         late = min(max((t - reaction) * (1.0 / _RELAXES_IN), 0.0), 1.0)
         later = min(max((t + dt - reaction) * (1.0 / _RELAXES_IN), 0.0), 1.0)
         gives = _RELAXED - 1.0 if intent == _FOLLOWS else 0.0
@@ -264,17 +273,26 @@ def _lay(setting, w):
         w[data.DELTA_START + l] = w[data.COLUMN + l] * (1.0 / ratio)  # of the arms
         w[data.REF_2 + l] = ratio * 2.0 * (a + c - 2.0 * b) * per_h * per_h
         s = (w[data.PIECE_START + l] + w[data.PIECE_TIME + l] - w[data.SAMPLE_START + l]) * per_dt
+        half = decay(-0.5 * _LAG * h)  # what his own acceleration wants, at start, middle and end of the substep
+        u, e = fma(0.5 * h, per_dt, s), fma(h, per_dt, s)
+        target = w[data.OWN_TARGET + l]
+        q_a = w[data.OWN_A_Y + l]
+        q_b = fma(q_a - target, half, target)
+        q_c = fma(q_b - target, half, target)
+        w[data.OWN_A_Y + l] = q_c
         a, b, c = w[data.MEANT_START + l], w[data.MEANT_MID + l], w[data.MEANT_END + l]
-        d_1, d_2 = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b)
-        w[data.MEANT_0 + l] = ratio * fma(s, fma(s, d_2, d_1), a)
-        w[data.MEANT_1 + l], w[data.MEANT_2 + l] = (
-            ratio * fma(2.0 * s, d_2, d_1) * per_dt,
-            ratio * d_2 * per_dt * per_dt,
-        )
+        d_1, d_2, gain = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b), w[data.DELTA_PER_A_Y + l]
+        b, c = ratio * fma(gain, q_b, fma(u, fma(u, d_2, d_1), a)), ratio * fma(gain, q_c, fma(e, fma(e, d_2, d_1), a))
+        a = ratio * fma(gain, q_a, fma(s, fma(s, d_2, d_1), a))
+        w[data.MEANT_0 + l], w[data.MEANT_1 + l] = a, (4.0 * b - 3.0 * a - c) * per_h
+        w[data.MEANT_2 + l] = 2.0 * (a + c - 2.0 * b) * per_h * per_h
         a, b, c = w[data.MEANT_FORCE_START + l], w[data.MEANT_FORCE_MID + l], w[data.MEANT_FORCE_END + l]
-        d_1, d_2, trail = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b), w[data.TRAIL_TORQUE + l]
-        w[data.FEED_0 + l] = trail * fma(s, fma(s, d_2, d_1), a)
-        w[data.FEED_1 + l], w[data.FEED_2 + l] = trail * fma(2.0 * s, d_2, d_1) * per_dt, trail * d_2 * per_dt * per_dt
+        d_1, d_2, gain = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b), w[data.FORCE_PER_A_Y + l]
+        trail = w[data.TRAIL_TORQUE + l]
+        b, c = trail * fma(gain, q_b, fma(u, fma(u, d_2, d_1), a)), trail * fma(gain, q_c, fma(e, fma(e, d_2, d_1), a))
+        a = trail * fma(gain, q_a, fma(s, fma(s, d_2, d_1), a))
+        w[data.FEED_0 + l], w[data.FEED_1 + l] = a, (4.0 * b - 3.0 * a - c) * per_h
+        w[data.FEED_2 + l] = 2.0 * (a + c - 2.0 * b) * per_h * per_h
         w[data.ALIGN_0 + l], w[data.ALIGN_1 + l] = trail * w[data.FRONT_NOW + l], trail * w[data.FRONT_RATE + l]
         for n in range(2):
             start, end = w[data.TENSE_START + 2 * n * L + l], w[data.TENSE_END + 2 * n * L + l]
