@@ -17,7 +17,17 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.clusters import cluster_error, several, with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
-from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.plant_options import (
+    INTENTS,
+    Actuator,
+    Driver,
+    KalmanFilter,
+    Mismatch,
+    PlantOptions,
+    Residuals,
+    Sensors,
+    Tyres,
+)
 from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -27,13 +37,16 @@ from ldctoolkit.version import versions
 
 from .design import Design, is_paper_design
 from .measures import drive_on_plants, first_of_each_side, on_model, trigger_speeds
-from .ranking.design_metrics import beyond_friction
+from .ranking.design_metrics import beyond_friction, masked_mean, masked_quantile
 from .ranking.inference import SAME, degrees_of_freedom, error_parts, half_widths, lengths, row_means, spread_is_known
-from .ranking.verdict import OtherPlants
+from .ranking.verdict import Light, OtherPlants, design_name
+from .results import status_among
 from .standards import VEHICLES
 from .storage.folder_files import read_fields, write_fields
+from .text import percent
 
 if TYPE_CHECKING:
+    from .ranking.finalists import RankedDesigns
     from .ranking.ranking import Ranking
     from .results import StudyResults
 
@@ -71,9 +84,9 @@ class OtherPlant:
 
 
 def other_plants(options: PlantOptions) -> tuple[OtherPlant, ...]:
-    """The variations of a study's plant: first the harder ones, then the easier ones."""
+    """The variations of a study's plant: first the harder ones, then those with other drivers, then the easier ones."""
     seen, plants = [options], []
-    for adds, rows in ((True, _harder(options)), (False, _easier(options))):
+    for adds, rows in ((True, _harder(options)), (False, _drivers(options)), (False, _easier(options))):
         for name, title, what, changes in rows:
             changed = dataclasses.replace(options, **changes)
             if changed not in seen:
@@ -173,6 +186,26 @@ def _worse_camera(sensors: Sensors) -> Iterator[_Row]:
         yield "filter", "Camera with filter", what, with_changes(kalman=real.kalman, **noise)
 
 
+DRIVER: Final = "driver-"  # begins the names of plants with one kind of driver
+DRIVERS: Final = {
+    "nobody": "hands off the wheel",
+    "recorded": "steers on along the recorded path",
+    "straight": "holds the wheel as it was at the trigger",
+    "follows": "gives way after the reaction time",
+    "against": "means to leave the lane",
+    "returns": "corrects after the reaction time",
+}
+LEAVES: Final = "against"  # the departure is wanted: a small S is no merit of a design, and does not order designs
+
+
+def _drivers(options: PlantOptions) -> Iterator[_Row]:
+    """Rows of plants whose drivers are of one kind; none where nobody holds the wheel of the study's plant."""
+    for name, what in () if options.driver.ideal else DRIVERS.items():
+        shares: dict[str, Any] = {intent: float(intent == name) for intent in INTENTS}
+        driver = dataclasses.replace(options.driver, **shares) if name in INTENTS else Driver()
+        yield f"{DRIVER}{name}", f"Driver: {name}", what, {"driver": driver}
+
+
 def _easier(options: PlantOptions) -> Iterator[_Row]:
     """Rows of plants that lack one of the study's difficulties each."""
     sensors = options.sensors
@@ -252,7 +285,7 @@ def lower_ends(
     return np.asarray(row_means(change) - np.where(changed == 0, 0.0, np.where(unknown, np.nan, half)))
 
 
-_FORMAT: Final = 3  # raise it with every change of the numbers or of the file
+_FORMAT: Final = 4  # raise it with every change of the numbers or of the file
 
 
 PER_SIDE: Final = 50
@@ -276,9 +309,17 @@ class Robustness(OtherPlants):
     # Scenarios of each side
     left: int
     right: int
-    # (p,) [m s] Lower end of the interval of the paired difference between the reference and the best other ranked
-    # design: above 0 where that design is better. NaN where there is none, and where too few scenarios differ
-    behind: FloatArray
+    # (p, d) [m s] Intervals of mean S, and of its paired difference to the reference: above 0 where the design is worse
+    S_low: FloatArray
+    S_high: FloatArray
+    difference_low: FloatArray
+    difference_high: FloatArray
+    # (p, d) Over the interventions, NaN without a driver: mean and 95 % quantile of the driver's peak torque [N m],
+    # mean time against the driver [s], share that the driver overrode
+    torque_mean: FloatArray
+    torque_p95: FloatArray
+    against_time: FloatArray
+    overridden: FloatArray
     raised: tuple[tuple[int, int, str], ...]  # Positions of plant and design, and the error, of laws that raised
     v: FloatArray  # (k,) [m/s] Speeds of the margins
     # (d, k) Gain margin on the study's plant as a factor: 0 where the loop is unstable, NaN where there is none
@@ -289,6 +330,66 @@ class Robustness(OtherPlants):
     def n(self) -> int:
         """Number of scenarios."""
         return self.left + self.right
+
+    @property
+    def behind(self) -> FloatArray:
+        """Lower ends (p,) of the differences between the reference and the best other ranked design [m s].
+
+        Above 0 where that design is better; NaN where there is none, and where too few scenarios differ.
+        """
+        rivals = ((p, self.rival(p)) for p in range(len(self.plants)))
+        return np.array([math.nan if i is None else -self.difference_high[p, i] for p, i in rivals])
+
+    @property
+    def difference(self) -> FloatArray:
+        """Paired difference of mean S to the reference, (p, d) [m s]."""
+        return self.S - self.S[:, :1]
+
+    def rival(self, p: int) -> int | None:
+        """The ranked design with the smallest S on a plant apart from the reference; None if an S is not known."""
+        S = np.where(self.contends, self.S[p], np.nan)[1:]
+        return 1 + int(np.nanargmin(S)) if np.isfinite(S).any() and np.isfinite(self.S[p, 0]) else None
+
+    @property
+    def drivers(self) -> dict[str, int]:
+        """The plants with one kind of driver other than the study's, by its name."""
+        named = enumerate(self.plants)
+        return {name.removeprefix(DRIVER): p for p, name in named if name.startswith(DRIVER)}
+
+    def of_mix(self, driver: Driver) -> dict[str, int]:
+        """Each intent that has a share among the study's drivers, and the plant on which all have it."""
+        return {name: self.drivers.get(name, 0) for name in INTENTS if getattr(driver, name)}
+
+    def driver_light(self, ranking: RankedDesigns, position: int, driver: Driver) -> Light | None:
+        """Amber where a driver of the mix who means to stay in the lane puts another ranked design first.
+
+        That is for certain, or by mean S where the design is the first with all drivers together.
+        """
+        if self.designs[0] != ranking.designs[position].id:
+            return None
+        names = {design.id: design_name(design) for design in ranking.designs}
+        first, ahead, word, leaving = [], [], "First", ""
+        leads = (top := self.rival(0)) is not None and bool(self.S[0, 0] <= self.S[0, top])
+        for intent, p in self.of_mix(driver).items():
+            if intent == LEAVES:
+                torque, share = float(self.torque_p95[p, 0]), percent(float(self.overridden[p, 0]), 0)
+                peaks = f"the driver\u2019s torque peaks at {torque:.1f} N m (95 % quantile), {share} override"
+                leaving = f" With {intent} S does not count: {peaks}."
+                continue
+            if (i := self.rival(p)) is None:
+                continue
+            less, low, high = (float(-of[p, i]) for of in (self.difference, self.difference_high, self.difference_low))
+            if low > 0 or (less > 0 and leads):
+                apart = f"{low:.3f} to {high:.3f}" if low > 0 else "not separated"
+                ahead.append(f"with {intent} {names[self.designs[i]]}, S {less:.3f} m s less ({apart})")
+                continue
+            first.append(intent)
+            word = "First, or not separated from it," if less > 0 else word
+        if ahead:
+            return Light("Driver", "warning", f"Another design is first {'; '.join(ahead)}.{leaving}")
+        if first:
+            return Light("Driver", "good", f"{word} with each driver of the mix: {', '.join(first)}.{leaving}")
+        return Light("Driver", "unknown", f"There is nothing to compare its S with.{leaving}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -321,7 +422,8 @@ class RobustnessTask:
         for own in vehicles:
             if isinstance(own, VehicleModel) and own != model:
                 name = type(own).__name__
-                what = f"vehicle model {own!r} in place of the study\u2019s vehicle"
+                hands_off = "" if setup.options.driver.ideal else ", hands off the wheel"
+                what = f"vehicle model {own!r} in place of the study\u2019s vehicle{hands_off}"
                 if same := sum(plant.title.split()[:2] == ["Vehicle", name] for plant in plants):
                     name = f"{name} {same + 1}"
                 plants.append(
@@ -368,8 +470,23 @@ def work_out(task: RobustnessTask) -> Robustness:
     ran = np.any(known, axis=2)
     rows = np.all(known[ran], axis=0)
     S, S_uncorrected, status = drives.S[:, :, rows], drives.S_uncorrected[:, :, rows], drives.status[:, :, rows]
-    mean = _means(S)
-    side = task.scenarios.side[rows]
+    mean, shape, side = _means(S), S.shape[:2], task.scenarios.side[rows]
+    acted = ~status_among(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID)).reshape(-1, rows.sum())
+
+    def ends(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        flat, cluster = values.reshape(acted.shape), task.scenarios.take(rows).cluster
+        pairs = ((np.zeros_like(flat), flat), (flat, np.zeros_like(flat)))
+        low, negative = (lower_ends(*pair, side, CONFIDENCE, cluster).reshape(shape) for pair in pairs)
+        return low, -negative
+
+    def of_driver(name: str, share: float | None = None) -> FloatArray:
+        if not rows.any():
+            return np.full(shape, np.nan)
+        flat = drives.driver[name][:, :, rows].reshape(acted.shape)
+        return (masked_mean(flat, acted) if share is None else masked_quantile(flat, acted, share)).reshape(shape)
+
+    S_low, S_high = ends(S)
+    difference_low, difference_high = ends(S - S[:, :1])
     thresholds = dict.fromkeys(design.y_s for design in selection.designs if not design.is_baseline)
     takeovers = [Takeover.build(task.scenarios, setup, y_s=y_s) for y_s in thresholds]
     slowest, fastest = trigger_speeds(takeovers) or (SPEEDS[0], SPEEDS[-1])
@@ -394,7 +511,14 @@ def work_out(task: RobustnessTask) -> Robustness:
         S=mean,
         diverged=((status == EventStatus.DIVERGED) & allowed[:, None, rows]).sum(axis=2, dtype=np.int64),
         excess=_means(S - S_uncorrected),
-        behind=_behind(S, mean, contends, task.scenarios.take(rows)),
+        difference_low=difference_low,
+        difference_high=difference_high,
+        torque_p95=of_driver("driver_torque_peak", 0.95),
+        overridden=of_driver("overridden"),
+        S_low=np.maximum(S_low, 0.0),
+        S_high=S_high,
+        torque_mean=of_driver("driver_torque_peak"),
+        against_time=of_driver("against_time"),
         raised=drives.raised,
         v=v,
         gain=gain,
@@ -407,19 +531,6 @@ def _means(values: FloatArray) -> FloatArray:
     if not values.shape[2]:
         return np.full(values.shape[:2], np.nan)
     return row_means(values.reshape(-1, values.shape[2])).reshape(values.shape[:2])
-
-
-def _behind(S: FloatArray, mean: FloatArray, contends: BoolArray, scenarios: Scenarios) -> FloatArray:
-    """`Robustness.behind` from scores (p, d, n) and their means (p, d)."""
-    low = np.full(len(S), np.nan)
-    others = np.where(contends[None, 1:] & ~np.isnan(mean[:, 1:]), mean[:, 1:], np.inf)
-    comparable = (
-        np.isfinite(others).any(axis=1) & ~np.isnan(mean[:, 0]) if others.size else np.zeros(len(S), dtype=np.bool_)
-    )
-    if comparable.any():
-        rival = S[comparable, 1 + others[comparable].argmin(axis=1)]
-        low[comparable] = lower_ends(rival, S[comparable, 0], scenarios.side, CONFIDENCE, scenarios.cluster)
-    return low
 
 
 NAME: Final = "robustness.json"

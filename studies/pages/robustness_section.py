@@ -1,34 +1,38 @@
-"""Other plants: what becomes of the designs on vehicles that are not the study's, and the margins of their loops."""
+"""Other plants: designs on vehicles that are not the study's, the margins of their loops, and each kind of driver."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
 
+from ldctoolkit.arrays import IntArray
+
 from ..ranking.verdict import design_name, law_title
-from ..robustness import Robustness
+from ..robustness import CONFIDENCE, LEAVES, Robustness
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import percent, plural
-from .charts import Axis, Chart, Series
+from .charts import Axis, Chart, Dot, Series, dots, legend
 from .context import Context
 from .shell import Section, bullets, details, figure, paragraphs
 
 MOST_LAWS: Final = 4  # designs in the table; their margins too
+MOST_WITH_DRIVERS: Final = 6  # designs in the section with a driver
+ALL: Final = "all together"  # the drivers of the study
+NOT_DRIVEN: Final = (
+    "Designs were not driven on other plants for this report: leave --no-robustness out to have them here."
+)
 
 
 def section(context: Context) -> Section:
     """The section."""
     robustness = context.report.robustness
     if robustness is None:
-        body = paragraphs(
-            "Designs were not driven on other plants for this report: leave --no-robustness out to have them here."
-        )
-        return Section("robustness", "Other plants", body)
+        return Section("robustness", "Other plants", paragraphs(NOT_DRIVEN, _hands_off(context)))
     shown = tuple(_shown(context, robustness))
     charts = tuple(_margins(context, robustness, shown))
     body = paragraphs(*_sentences(context, robustness)) + to_html(_plants_table(context, robustness, shown))
-    body += bullets(_left_out(robustness))
+    body += bullets(_left_out(robustness)) + paragraphs(_hands_off(context))
     if charts:
         body += details(
             "Margins of the loop over speed",
@@ -44,7 +48,7 @@ def section(context: Context) -> Section:
 Shown = tuple[tuple[int, int], ...]  # of each design: its position among those of the robustness, and in the ranking
 
 
-def _shown(context: Context, robustness: Robustness) -> Iterator[tuple[int, int]]:
+def _shown(context: Context, robustness: Robustness, most: int = MOST_LAWS) -> Iterator[tuple[int, int]]:
     """The reference, then the best design of each law."""
     positions = {design.id: i for i, design in enumerate(context.ranking.designs)}
     laws: set[str] = set()
@@ -53,7 +57,7 @@ def _shown(context: Context, robustness: Robustness) -> Iterator[tuple[int, int]
         if position is None or context.ranking.designs[position].is_baseline:
             continue
         law = context.ranking.designs[position].law
-        if law not in laws and len(laws) < MOST_LAWS:
+        if law not in laws and len(laws) < most:
             laws.add(law)
             yield i, position
 
@@ -63,8 +67,9 @@ def _sentences(context: Context, robustness: Robustness) -> Iterator[str]:
     reference = [design for design in context.ranking.designs if design.id == robustness.designs[0]]
     name = design_name(reference[0]) if reference else "The first design"
     plants = [p for p, adds in enumerate(robustness.adds) if adds]
+    others = len(robustness.plants) - 1 - len(robustness.drivers)
     yield (
-        f"{name} on {plural(len(robustness.plants) - 1, 'other plant')}, {robustness.n:,} of the study scenarios each "
+        f"{name} on {plural(others, 'other plant')}, {robustness.n:,} of the study scenarios each "
         f"({robustness.left:,} left, {robustness.right:,} right). {len(plants)} of them add a difficulty to the "
         "study\u2019s plant: the sentences below and the light of the verdict are about these. The others take one "
         "away."
@@ -98,6 +103,8 @@ def _plants_table(context: Context, robustness: Robustness, shown: Shown) -> Tab
         ]
     rows = []
     for p, what in enumerate(zip(robustness.titles, robustness.differences, strict=True)):
+        if p in robustness.drivers.values():
+            continue
         cells: list[Cell | Value] = [*what]
         for i, _ in shown:
             S, unchanged, lost = float(robustness.S[p, i]), float(robustness.S[0, i]), int(robustness.diverged[p, i])
@@ -133,3 +140,96 @@ def _margins(context: Context, robustness: Robustness, shown: Shown) -> Iterator
             y = Axis.around(title, *(curve.y for curve in series), [level], zero=True)
             x = Axis.around("Speed [m/s]", robustness.v)
             yield Chart(f"margin-{name}", title, x, y, series, level=level, height=230)
+
+
+# ------------------------------------------------------------------------------------------------ with a driver
+
+
+def _hands_off(context: Context) -> str:
+    about = "Nobody holds the wheel in this study. What a driver at the wheel changes: docs/explanation/driver.md."
+    return about if context.report.setup.options.driver.ideal else ""
+
+
+def driver_section(context: Context) -> Section | None:
+    """The designs with each kind of driver; none where nobody holds the wheel of the study's plant."""
+    driver, robustness = context.report.setup.options.driver, context.report.robustness
+    if driver.ideal:
+        return None
+    if robustness is None:
+        return Section("driver", "With a driver", paragraphs(NOT_DRIVEN))
+    plants = {ALL: 0} | robustness.drivers
+    shown = tuple(of for of in _shown(context, robustness, MOST_WITH_DRIVERS) if robustness.contends[of[0]])
+    S = robustness.S[:, [i for i, _ in shown]]
+    places = 1 + (S[:, None, :] < S[:, :, None]).sum(axis=2)  # (p, shown)
+    chart = _differences_chart(context, robustness, shown, plants)
+    key = legend([(law_title(context.ranking.designs[position]), context.style(position)) for _, position in shown])
+    body = paragraphs(*_of_drivers(context, robustness, shown, places))
+    body += to_html(_drivers_table(context, robustness, shown, places, plants))
+    caption = f"Mean S minus that of {context.shown_name}, with intervals; right of 0 a design is worse. No {LEAVES}."
+    return Section("driver", "With a driver", body + figure((chart,), caption, key), (chart,))
+
+
+def _of_drivers(context: Context, robustness: Robustness, shown: Shown, places: IntArray) -> Iterator[str]:
+    """Who the drivers are, and which designs keep their place with each of them."""
+    driver = context.report.setup.options.driver
+    mix = robustness.of_mix(driver)
+    yield (
+        f"The study\u2019s drivers: {', '.join(f'{percent(getattr(driver, name), 0)} {name}' for name in mix)}. Here "
+        f"all of them are of one kind, on {robustness.n:,} of the study scenarios, with the hands and reaction times "
+        "that they have in the study. More: docs/explanation/driver.md."
+    )
+    counted, kept, moved = {name: p for name, p in mix.items() if name != LEAVES}, [], []
+    for k, (i, position) in enumerate(shown if counted and len(shown) > 1 else ()):
+        name, place = design_name(context.ranking.designs[position]), places[0, k]
+        if all(places[p, k] == place for p in counted.values()):
+            kept.append(f"{name} ({place})")
+            continue
+        low, high = robustness.difference_low[:, i], robustness.difference_high[:, i]
+        other = (
+            f"{places[p, k]} with {who}" + (f" ({low[p]:+.3f} to {high[p]:+.3f} m\u00b7s to the first)" if i else "")
+            for who, p in counted.items()
+        )
+        moved.append(f"{name}: place {place} with {ALL}, {', '.join(other)}.")
+    if kept or moved:
+        yield f"Designs that keep their place with {', '.join(counted)}: {'; '.join(kept) or 'none'}."
+    yield from moved
+
+
+def _drivers_table(
+    context: Context, robustness: Robustness, shown: Shown, places: IntArray, plants: Mapping[str, int]
+) -> Table:
+    interval = f"{100 * CONFIDENCE:g} % interval"
+    columns = [
+        Column("Driver", text=True), Column("Design", text=True), Column("Place", form="d"),
+        Column("Mean S", "m\u00b7s", ".3f"), Column(interval, "m\u00b7s", ".3f"),
+        Column(f"To {context.shown_name}", "m\u00b7s", "+.3f"), Column("Its interval", "m\u00b7s", "+.3f"),
+        Column("Peak torque, mean", "N\u00b7m", ".2f"), Column("95 %", "N\u00b7m", ".2f"),
+        Column("Against the driver", "s", ".2f"), Column("Overridden", "%", ".0f"),
+    ]  # fmt: skip
+    rows, of = [], robustness
+    for who, p in plants.items():
+        share = getattr(context.report.setup.options.driver, who, 0.0)
+        title = f"{who}, {percent(share, 0)}" if share else who
+        title += ": the departure is wanted, torque counts and not S" if who == LEAVES else ""
+        placed = np.isfinite(of.S[p]) & (who != LEAVES)
+        for k, (i, position) in enumerate(shown):
+            change = [float(of.difference[p, i]), (float(of.difference_low[p, i]), float(of.difference_high[p, i]))]
+            torques = (of.torque_mean, of.torque_p95, of.against_time, 100.0 * of.overridden)
+            rows.append(Row([
+                title, design_name(context.ranking.designs[position]), int(places[p, k]) if placed[i] else None,
+                float(of.S[p, i]), (float(of.S_low[p, i]), float(of.S_high[p, i])), *(change if i else (None, None)),
+                *(float(values[p, i]) for values in torques),
+            ], "winner" if position == context.ranking.winner else ""))  # fmt: skip
+    return Table("The designs with each kind of driver", columns, rows, head=1)
+
+
+def _differences_chart(context: Context, robustness: Robustness, shown: Shown, plants: Mapping[str, int]) -> Chart:
+    """Paired differences to the reference, a row a driver."""
+    change, low, high = robustness.difference, robustness.difference_low, robustness.difference_high
+    rows = [
+        [Dot(who, float(change[p, i]), float(low[p, i]), float(high[p, i]), context.style(position),
+             tip=f"{who}: {design_name(context.ranking.designs[position])}") for i, position in shown]
+        for who, p in plants.items() if who != LEAVES
+    ]  # fmt: skip
+    x = Axis.around("Difference of mean S [m\u00b7s]", [(dot.low, dot.high, 0.0) for row in rows for dot in row])
+    return dots("drivers", "Mean S minus that of the first design", rows, x, upright=(0.0, "no difference"))
