@@ -254,32 +254,32 @@ class Driver(_Options):
     against: float = declared(0.0, lower=0.0, upper=1.0)  # Of those who mean to leave the lane
     returns: float = declared(0.0, lower=0.0, upper=1.0)  # Of those who correct by themselves after it
     # Share of the arms in the stiffness that holds the wheel; only of model grip
-    grip: tuple[float, float] = declared((0.15, 0.45), lower=0.0, upper=1.0, pair="ascending")
-    arm_lag: float = declared(0.05, unit="s", lower=1e-3, upper=1.0)  # Damping over stiffness; only of model grip
+    grip: tuple[float, float] = declared((0.2, 0.5), lower=0.0, upper=1.0, pair="ascending")
+    arm_lag: float = declared(0.08, unit="s", lower=1e-3, upper=1.0)  # Damping over stiffness; only of model grip
     # Stiffness, damping and inertia of the arms; only of model arms
-    stiffness: tuple[float, float] = declared((10.0, 50.0), unit="N m/rad", lower=0.0, upper=500.0, pair="ascending")
-    damping: float = declared(1.5, unit="N m s/rad", lower=0.0, upper=50.0)
+    stiffness: tuple[float, float] = declared((10.0, 40.0), unit="N m/rad", lower=0.0, upper=500.0, pair="ascending")
+    damping: float = declared(1.6, unit="N m s/rad", lower=0.0, upper=50.0)
     inertia: float = declared(0.1, unit="kg m^2", lower=0.0, upper=1.0)
-    reaction: tuple[float, float] = declared((0.5, 1.2), unit="s", lower=0.0, upper=5.0, pair="ascending")
+    reaction: tuple[float, float] = declared((0.3, 1.2), unit="s", lower=0.0, upper=5.0, pair="ascending")
     # Lateral acceleration outward that a driver who means to leave the lane steers for a second
     across: tuple[float, float] = declared((0.3, 0.8), unit="m/s^2", lower=0.0, upper=5.0, pair="ascending")
     # Of the oscillation back to the lane's centre that a driver who corrects means, and its damping ratio
-    frequency: tuple[float, float] = declared((0.8, 1.5), unit="rad/s", above=0.0, upper=5.0, pair="ascending")
+    frequency: tuple[float, float] = declared((0.6, 1.2), unit="rad/s", above=0.0, upper=5.0, pair="ascending")
     return_damping: float = declared(0.4, lower=0.0, upper=2.0)
     # The assist's position loop and its limit
-    assist_stiffness: float = declared(60.0, unit="N m/rad", lower=1.0, upper=1000.0)
-    assist_damping: float = declared(4.0, unit="N m s/rad", lower=0.0, upper=100.0)  # Only of model arms
+    assist_stiffness: float = declared(40.0, unit="N m/rad", lower=1.0, upper=1000.0)
+    assist_damping: float = declared(2.5, unit="N m s/rad", lower=0.0, upper=100.0)  # Only of model arms
     torque_max: float = declared(5.0, unit="N m", above=0.0, upper=100.0)
     # The column; only of model arms: inertia and damping, trail of the front tyres, share that power steering takes
     wheel_inertia: float = declared(0.1, unit="kg m^2", lower=0.01, upper=1.0)
-    wheel_damping: float = declared(0.4, unit="N m s/rad", lower=0.0, upper=10.0)
-    trail: float = declared(0.045, unit="m", lower=0.0, upper=0.2)
-    boost: float = declared(0.7, lower=0.0, upper=1.0)
+    wheel_damping: float = declared(0.3, unit="N m s/rad", lower=0.0, upper=10.0)
+    trail: float = declared(0.06, unit="m", lower=0.0, upper=0.2)
+    boost: float = declared(0.6, lower=0.0, upper=1.0)
     # The assist yields where the driver's torque is larger for so long, leaves within the ramp, and comes back after so
     # long below it; 0 for never
     override_torque: float = declared(3.0, unit="N m", above=0.0, upper=100.0)
     override_time: float = declared(0.2, unit="s", lower=0.0, upper=10.0)
-    ramp: float = declared(0.3, unit="s", lower=0.0, upper=10.0)
+    ramp: float = declared(0.5, unit="s", lower=0.0, upper=10.0)
     return_after: float = declared(0.0, unit="s", lower=0.0, upper=60.0)
 
     def __post_init__(self) -> None:
@@ -294,6 +294,11 @@ class Driver(_Options):
                 raise InputError(f"driver.{name}", value=getattr(self, name), hint=hint)
         if not total and vars(self) != defaults:
             raise InputError("driver", "no share of any intent", allowed="a sum of 1", hint=", ".join(INTENTS))
+
+    @property
+    def holds(self) -> bool:
+        """A driver moves the wheels: not where all have a grip of 0."""
+        return not self.ideal and not (self.model == "grip" and self.grip[1] == 0.0)
 
     @property
     def shares(self) -> tuple[float, ...]:
@@ -348,4 +353,4 @@ class PlantOptions(_Options):
     @property
     def drives_exactly(self) -> bool:
         """Between samples the plant is linear with constant coefficients, and its steering angle constant."""
-        return self.speed == "frozen" and self.actuator.ideal and self.tyres.ideal and self.driver.ideal
+        return self.speed == "frozen" and self.actuator.ideal and self.tyres.ideal and not self.driver.holds

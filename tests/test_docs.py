@@ -46,6 +46,7 @@ LONG = ("docs/gallery/", "docs/how-to/reading", "docs/explanation/risk", "docs/e
 PRINTED = {
     "docs/explanation/closed-loop.md": 7,
     "docs/explanation/plant-options.md": 1,
+    "docs/explanation/driver.md": 1,
     "docs/how-to/my-fmu.md": 3,
     "docs/reference/metrics.md": 4,
     "docs/how-to/reviewing-a-design.md": 2,
@@ -165,11 +166,11 @@ def test_the_reference_is_made_of_the_code(tmp_path: Path, monkeypatch: pytest.M
         assert f"\n| `{name}` | " in made["design-metrics.md"]
 
 
-def test_the_toml_of_the_plant_options_is_its_python() -> None:
-    page = "docs/explanation/plant-options.md"
+@pytest.mark.parametrize("page", ["docs/explanation/plant-options.md", "docs/explanation/driver.md"])
+def test_the_toml_of_the_plant_options_is_its_python(page: str) -> None:
     (code, *_), (text,) = blocks(page, "python"), blocks(page, "toml")
     scope: dict[str, object] = {"__name__": "page"}
-    exec(compile(code.partition("scenarios =")[0], "plant-options.md", "exec"), scope)
+    exec(compile(code.partition("scenarios =")[0], page, "exec"), scope)
     study = Study.from_dict({"name": "page", "design": [{"law": "none"}], **tomllib.loads(text)})
     assert isinstance(scope["options"], PlantOptions)
     assert study.plant == scope["options"]

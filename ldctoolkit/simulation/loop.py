@@ -507,7 +507,8 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
 
         def work(first: int, last: int) -> None:
             out = score, diverged, failed
-            entry.drive_any(scene, setting, table, times, bend, paths, path_row, blocks[first:last], *out)
+            inputs = scene, setting, table, times, bend, takeover.recorded_steering, paths, path_row
+            entry.drive_any(*inputs, blocks[first:last], *out)
 
         in_threads(work, blocks.size, threads, SCENARIOS_A_TASK // 4 // data.LANES)
 
@@ -548,7 +549,9 @@ def _drive_general(
     beyond, alive = np.zeros(m, dtype=np.bool_), np.ones(m, dtype=np.bool_)
     batch: IntArray | slice = slice(None)  # The scenarios that the law still holds
     active = np.arange(m)  # Rows of the batch that go on
-    filtered = takeover.setup.options.sensors.kalman is not None
+    options = takeover.setup.options
+    filtered, held = options.sensors.kalman is not None, not options.driver.ideal
+    may_yield = held or options.actuator.delta_max is not None
     state = law.init(m)
     linear = isinstance(law, LinearSteps) and law.measured  # whose time is not a law's own
     step_seconds: list[float] = []
@@ -556,13 +559,15 @@ def _drive_general(
     calls: list[tuple[IntArray, int, SolverCalls]] = []
     planned: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     while active.size:
-        shown = np.zeros((m, 4)), np.zeros((m, times.size)), np.zeros((m, times.size)), np.zeros(m)
+        shown = np.zeros((m, 4)), np.zeros((m, times.size)), np.zeros((m, times.size)), *np.zeros((3, m))
         for plant in plants:
             plant.look(sample, times, *shown)
-        x, yaw_rate, heading, wheel = (values[batch] for values in shown)
+        x, yaw_rate, heading, wheel, torque, yields = (values[batch] for values in shown)
         t, previous = takeover.start[batch] + sample * takeover.setup.dt, np.where(alive, last, 0.0)[batch]
         frame = np.concatenate([plant.new_frame(sample) for plant in plants])[batch] if filtered else None
-        preview = Preview(yaw_rate, heading, wheel, frame)
+        preview = Preview(
+            yaw_rate, heading, wheel, frame, torque if held else None, yields > 0.0 if may_yield else None
+        )
         started = time.perf_counter()
         result = law.step(t, x, preview, previous.copy(), state)
         step_seconds += [] if linear else [time.perf_counter() - started]
@@ -666,4 +671,6 @@ def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray, triggered: 
     path = dataclasses.replace(over.path.take(rows), recorded=None)
     x = out[:, :, data.P_X : data.P_DELTA]
     t, delta, a_y = (out[:, :, column] for column in (data.P_TIME, data.P_DELTA, data.P_A_Y))
-    return Trajectories(rows, t, x, delta, a_y, path, at_trigger[rows])
+    columns = data.P_TORQUE, data.P_ASSIST, data.P_AUTHORITY, data.P_STATE
+    held = () if over.setup.options.driver.ideal else (out[:, :, column] for column in columns)
+    return Trajectories(rows, t, x, delta, a_y, path, at_trigger[rows], *held)

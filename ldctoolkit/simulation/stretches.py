@@ -38,14 +38,16 @@ class Stretch:
         from ldctoolkit.simulation.kernel import block_table, entry
 
         self.entry, self.setting, self.exact, self.paths = entry, takeover.setting, exact, paths
-        self.rows, self.recorded = rows, takeover.recorded_bend[rows]
+        self.rows, self.recorded, self.steering = rows, takeover.recorded_bend[rows], takeover.recorded_steering[rows]
         self.threads = 1 if exact.size else threads  # an exact step takes less time than to start a thread
         self.blocks = np.arange(-(-(rows.stop - rows.start) // data.LANES))
         self.state = np.zeros((self.blocks.size, block_table.rings(self.setting)[-1]))
         entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
 
     def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
-        """What the law sees: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle (m,)."""
+        """What the law sees: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle, driver's torque, and 1
+        where the assist yields (m,).
+        """
         self.entry.look(self.setting, self.state, k, self.blocks, times, *(values[self.rows] for values in shown))
 
     def new_frame(self, k: int) -> FloatArray:
@@ -89,7 +91,8 @@ class Stretch:
 
     def sample(self, k: int, blocks: IntArray, command: FloatArray) -> None:
         """Sample k of some blocks."""
-        self.entry.go_on(self.exact, self.setting, self.state, self.recorded, self.paths, k, blocks, command)
+        tables = self.recorded, self.steering, self.paths
+        self.entry.go_on(self.exact, self.setting, self.state, *tables, k, blocks, command)
 
 
 def in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:

@@ -131,9 +131,7 @@ BOUND = 20.0
 _SHORTEST_STEP = 1e-12  # [s] A shorter remainder is rounding of T - t_s, not a step to be driven
 _SPEED_STEP = 1e-4  # [s] Step of the difference quotient of the recorded speed
 
-# Longest substep of the Runge-Kutta method, in units of the fastest time constant and in seconds: the yaw oscillation
-# and the law's own poles are no slower at high speed
-_REACH, _LONGEST = 0.25, 0.03
+_REACH = 0.25  # Longest substep of the Runge-Kutta method, in units of the fastest time constant
 
 
 @dataclasses.dataclass(frozen=True)
@@ -209,6 +207,18 @@ class Takeover:
         samples = np.arange(self.full_steps.max() + math.ceil(JERK_WINDOW / self.setup.dt) + 2)
         t = self.start[:, None] + self.setup.dt * samples
         return np.stack([self.driven.lateral_acceleration(t - back) for back in (0.0, JERK_WINDOW)], axis=-1)
+
+    @functools.cached_property
+    def recorded_steering(self) -> FloatArray:
+        """With a driver, and unless it is a parabola: y' and y'' of the recorded path at half samples, (m, k, 2)."""
+        if not self.recorded_bend.size or not self.setup.options.driver.holds:
+            return np.zeros((0, 0, 2))
+        half, T = 0.5 * self.setup.dt, self.triggered.T[:, None]
+        lag, tail = data.NEUROMUSCULAR_LAG, math.ceil(60.0 * data.NEUROMUSCULAR_LAG / half)
+        t = self.start[:, None] + half * np.arange(2 * (self.full_steps.max() + 2) + tail)
+        inside = np.minimum(t, T)
+        bend, fallen = self.driven.lateral_acceleration(inside), np.exp((inside - t) / lag)
+        return np.stack([self.driven.lateral_rate(inside) + bend * lag * (1.0 - fallen), bend * fallen], axis=-1)
 
     @functools.cached_property
     def stiff(self) -> int:
@@ -441,7 +451,7 @@ def _scene(over: Takeover) -> FloatArray:
         data.C_0: p.c_0,
         data.DC: p.dc,
         data.DELTA_0: over.delta_0,
-        data.SUBSTEPS: np.ceil(setup.dt * np.maximum(np.maximum(lateral, yaw) / slowest / _REACH, 1.0 / _LONGEST)),
+        data.SUBSTEPS: np.ceil(setup.dt * np.maximum(np.maximum(lateral, yaw) / slowest / _REACH, 1.0 / data.LONGEST)),
         data.C_AF: car.C_af,
         data.C_AR: car.C_ar,
         data.L_F: l_f,
@@ -451,6 +461,7 @@ def _scene(over: Takeover) -> FloatArray:
         data.MU: car.mu,
         data.PRINTED: 4.0 * car.C_ar * l_r / car.m if setup.convention == "as_printed" else 0.0,
         data.CURVATURE_BIAS: p.side * bias,
+        **dict(enumerate(_driver(over), start=data.DRIVER)),
         data.B_1: B[:, 1],
         data.E_1: E[:, 1],
     }
@@ -465,6 +476,27 @@ def _scene(over: Takeover) -> FloatArray:
     scene[:, data.X_0 : data.X_0 + 4] = over.x_0
     scene[:, data.SCENE :] = np.concatenate(tail, axis=1)
     return scene
+
+
+def _driver(over: Takeover) -> list[FloatArray]:
+    """Columns of the driver of each scenario, in the order of `kernel.data`; without one, nothing to draw."""
+    driver, car, setup = over.setup.options.driver, over.vehicles, over.setup
+    if driver.ideal:
+        return []
+    draws = uniforms(setup.seed, over.triggered.index, RandomStream.DRIVER, 5)
+    intent = np.searchsorted(np.cumsum(driver.shares)[:-1], draws[:, 0], side="right").astype(np.float64)
+    strength = driver.grip if driver.model == "grip" else driver.stiffness
+    ranges = np.array([strength, driver.reaction, driver.across, driver.frequency])
+    drawn = np.minimum(ranges[:, :1] + (ranges[:, 1:] - ranges[:, :1]) * draws[:, 1:].T, ranges[:, 1:])
+    v, wheelbase = over.plant.v, car.l_f + car.l_r
+    trail = (1.0 - driver.boost) * driver.trail * car.m / setup.vehicle.steering_ratio
+    return [
+        intent,
+        *drawn,
+        car.steady_state(v, setup.convention).delta / v,
+        np.full(over.m, car.l_r / wheelbase),
+        trail,
+    ]
 
 
 def _earlier_frames(over: Takeover) -> FloatArray:
@@ -501,6 +533,7 @@ def law_tables(laws: Sequence[LinearLaw], scratch: FloatArray) -> FloatArray:
         table[:, data.LAW_U] = law.f_u
         table[:, data.LAW_I] = 0.0 if law.f_i is None else law.f_i
         table[:, data.LAW_WHEEL] = 0.0 if law.f_wheel is None else law.f_wheel
+        table[:, data.LAW_CONDITIONED] = getattr(law, "conditioned", False)
         table[:, data.LAW : data.LAW + 2 * p : 2] = law.G_yaw_rate
         table[:, data.LAW + 1 : data.LAW + 2 * p : 2] = law.G_heading
         if law.f_past is not None:

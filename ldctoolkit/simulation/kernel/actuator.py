@@ -21,13 +21,13 @@ def lay_lag(w, per_lag):
     for l in range(L):
         z = w[data.SUBSTEP_LENGTH + l] * per_lag
         m_0, m_1, m_2 = moments(z, 1.0)
-        a, b, c = _parabola(m_0, m_1, m_2)
+        a, b, c = parabola(m_0, m_1, m_2)
         w[data.LAG_SEGMENT + l], w[data.LAG_SUBSTEP + l] = decay(-w[data.SEGMENT_LENGTH + l] * per_lag), decay(-z)
         w[data.LAG_START + l], w[data.LAG_MID + l], w[data.LAG_END + l] = a, b, c
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _parabola(m_0, m_1, m_2):
+def parabola(m_0, m_1, m_2):
     """Start, middle and end of the parabola with these moments over [0, 1]."""
     tilt, bend = 3.0 * (2.0 * m_1 - m_0), 5.0 * (6.0 * (m_2 - m_1) + m_0)
     return m_0 - tilt + bend, m_0 - 0.5 * bend, m_0 + tilt + bend
@@ -115,7 +115,7 @@ def along_ramp(setting, w, j):
         m_1 = q * q * fma(c, q * (1.0 / 3.0), 0.5 * b) + fma(0.5 * u, fma(-q, q, 1.0), -remaining * fma(q, i_0, i_1))
         m_2 = q * q * q * fma(0.25 * c, q, b * (1.0 / 3.0)) + u * fma(-q * q, q, 1.0) * (1.0 / 3.0)
         m_2 -= remaining * fma(q, fma(q, i_0, 2.0 * i_1), i_2)
-        b_0, b_1, b_2 = _parabola(m_0, m_1, m_2)
+        b_0, b_1, b_2 = parabola(m_0, m_1, m_2)
         w[data.DELTA_START + l] = b_0 if ramp > 0.0 else a_0
         w[data.DELTA_MID + l] = b_1 if ramp > 0.0 else a_1
         w[data.DELTA_END + l] = b_2 if ramp > 0.0 else a_2

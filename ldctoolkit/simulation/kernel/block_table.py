@@ -11,6 +11,7 @@ from typing import Final
 
 import numba
 
+from ldctoolkit.control import AssistState
 from ldctoolkit.numba_internals import OPTIONS, copy, fma, larger
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.vector_math import absolute_area, hermite_peak, quartic_root, touches
@@ -20,6 +21,7 @@ L: Final = data.LANES
 # ------------------------------------------------------------------------------------------------ the table of a block
 
 SAME: Final = 1e-9  # Parts of a sample that are rounding
+ACTIVE: Final = float(AssistState.ACTIVE)
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -56,6 +58,7 @@ def begin(scene, setting, block, w, paths, path_rows):
         w[data.ALIVE + l] = 1.0 if alive else 0.0
         w[data.WHEEL + l], w[data.PATH_ROW + l] = w[data.LAST_COMMAND + l], path_rows[i]
         w[data.DIVERGED + l] = w[data.FAILED + l] = w[data.PATH_ENTRIES + l] = 0.0
+        w[data.ASSIST_STATE + l] = ACTIVE
         if paths.shape[0] and alive and path_rows[i] >= 0:
             record(paths, w, l, w[data.T_0 + l], 0.0)
 
@@ -205,7 +208,9 @@ def record(paths, w, l, t, a_y):
     """Append the present state, steering angle, lateral acceleration and command to the path of a scenario."""
     c, n = int(w[data.PATH_ROW + l]), int(w[data.PATH_ENTRIES + l])
     paths[c, n, data.P_TIME], paths[c, n, data.P_DELTA], paths[c, n, data.P_A_Y] = t, w[data.WHEEL + l], a_y
-    paths[c, n, data.P_COMMAND] = w[data.COMMAND + l]
+    paths[c, n, data.P_COMMAND], paths[c, n, data.P_AUTHORITY] = w[data.COMMAND + l], w[data.AUTHORITY + l]
+    paths[c, n, data.P_TORQUE], paths[c, n, data.P_ASSIST] = w[data.TORQUE + l], w[data.ASSIST + l]
+    paths[c, n, data.P_STATE] = w[data.ASSIST_STATE + l]
     for j in range(4):
         paths[c, n, data.P_X + j] = w[data.NEXT_E_Y + j * L + l]
     w[data.PATH_ENTRIES + l] = n + 1

@@ -46,7 +46,11 @@ C_AF, C_AR, L_F, L_R, MASS, I_Z, MU, PRINTED = range(22, 30)
 CURVATURE_BIAS: Final = 30  # [1/m] outward
 SUBSTEPS: Final = 31  # of the Runge-Kutta method in a segment
 BEND: Final = 32  # 3 columns: y'' of the recorded path without residuals as a polynomial in t
-SCENE: Final = 35  # then, in this order: amplitudes of the speed residual, frames before the trigger, the Kalman filter
+# a driver: what he means, as a position in `INTENTS`; share or stiffness [N m/rad]; reaction time [s]; lateral
+# acceleration outward, frequency of the return; steering angle and front force over the mass per lateral acceleration;
+# aligning torque at the steering wheel per front force over the mass [N m s^2/m]
+DRIVER: Final = 35  # 8 columns, in this order
+SCENE: Final = 43  # then, in this order: amplitudes of the speed residual, frames before the trigger, the Kalman filter
 
 # the filter's own columns: gain (4 x 2), A (4 x 4); 4 each: weights of the younger of two commands, of the lane's yaw
 # rate at both ends, of the older command, of the wheel angle; first estimate
@@ -56,10 +60,11 @@ GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1, MODEL_OLD, MODEL_WHEEL, FIRST, FIL
 # the area, the metrics of a scenario in the order of their table, and the state of the assist
 SCORES: Final = 2 + len(SCENARIO_METRICS)
 
-P_TIME, P_X, P_DELTA, P_A_Y, P_COMMAND, PATH = 0, 1, 5, 6, 7, 8  # columns of a path's entry
+# columns of a path's entry
+P_TIME, P_X, P_DELTA, P_A_Y, P_COMMAND, P_TORQUE, P_ASSIST, P_AUTHORITY, P_STATE, PATH = 0, 1, 5, 6, 7, 8, 9, 10, 11, 12
 
 # columns of a linear law, then pairs of weights of yaw rate and heading for every lookahead time, then of past commands
-LAW_F, LAW_U, LAW_I, LAW_WHEEL, LAW = 0, 4, 5, 6, 7
+LAW_F, LAW_U, LAW_I, LAW_WHEEL, LAW_CONDITIONED, LAW = 0, 4, 5, 6, 7, 8
 
 # columns of the ideal plant over a step: A[:, 1:4], B, E_0, E_1 row by row, then the weights of the area
 EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1, EXACT = 12, 16, 20, 24, 28, 29, 30, 31
@@ -108,7 +113,8 @@ SCENARIO, PATH_ROW = _next(2)  # its number; row of its path, or -1
 V_0, A_0, CURVATURE_0, CURVATURE_RATE, PI_PER_T = _next(5)  # v = V_0 + A_0 t, c = CURVATURE_0 + CURVATURE_RATE t
 BEND_0, BEND_1, BEND_2 = _next(3)  # y'' of the recorded path as a polynomial in t
 A_Y_BEFORE = next(_rows)  # [m/s^2] a_y before the trigger
-F_E_Y, F_E_Y_RATE, F_E_PSI, F_E_PSI_RATE, F_U, F_I, F_WHEEL = _next(LAW)  # weights of a linear law
+# weights of a linear law; 1 where its integral stops while the assist yields
+F_E_Y, F_E_Y_RATE, F_E_PSI, F_E_PSI_RATE, F_U, F_I, F_WHEEL, F_CONDITIONED = _next(LAW)
 
 # exact steps
 G_YAW_RATE, G_HEADING = _next(2)  # weights of the lane at a single lookahead time
@@ -154,6 +160,26 @@ LANE_RATE_SEEN, OUTWARD = _next(2)
 # the vehicle: cornering stiffness of each axle over the mass (over its largest force where tyres saturate), distance of
 # the axles [m], the same times m/I_z, what the printed matrix adds, largest force of each axle over the mass
 STIFFNESS_F, STIFFNESS_R, AXLE_F, AXLE_R, ARM_F, ARM_R, PRINTED_TERM, GRIP_F, GRIP_R = _next(9)
+# a driver, see `kernel.driver`: the columns of the scenario
+INTENT, STRENGTH, REACTION, ACROSS, FREQUENCY, DELTA_PER_A_Y, FORCE_PER_A_Y, TRAIL_TORQUE = _next(8)
+# the recorded path: y' at the trigger, and the twin that drives it; steering and force that are held
+HOLD_RATE, HOLD_ANGLE, HOLD_FRONT = _next(3)
+TWIN_PSI, TWIN_TURN, TWIN_YAW, TWIN_DELTA, TWIN_FRONT, TWIN_SLIP, TWIN_H = _next(7)
+TWIN_PSI_BEFORE, TWIN_TURN_BEFORE, TWIN_YAW_BEFORE = _next(3)
+# over a sample: its start [s]; angle and front force that the driver means at start, middle and end; lateral
+# acceleration of his own; tension and authority at both ends
+SAMPLE_START = next(_rows)
+MEANT_START, MEANT_MID, MEANT_END, MEANT_FORCE_START, MEANT_FORCE_MID, MEANT_FORCE_END, OWN_A_Y = _next(7)
+TENSE_START, TENSE_END, AUTHORITY_START, AUTHORITY = _next(4)
+# column angle and rate at the steering wheel, or z of a grip in the first; torques of driver and assist; samples that
+# the torque has been beyond its limit, or below; 1 where the law has to know that the assist yields; 1 from the moment
+# the vehicle was parallel; the present stretch against the driver [s]; the angle that the assist follows
+COLUMN, COLUMN_RATE, TORQUE, ASSIST, BEYOND, YIELDING, PARALLEL, STRETCH, REFERENCE, HELD_WHEEL = _next(10)
+FRONT_NOW, FRONT_RATE = _next(2)  # front force over the mass, and its rate
+# polynomials over a substep: angle that the assist follows, angle and torque that the driver means, aligning torque,
+# tension, authority; moments of z
+REF_0, REF_1, REF_2, MEANT_0, MEANT_1, MEANT_2, FEED_0, FEED_1, FEED_2, ALIGN_0, ALIGN_1 = _next(11)
+TENSE_0, TENSE_1, AUTH_0, AUTH_1, MOMENT_0, MOMENT_1, MOMENT_2 = _next(7)
 FILTER_ROWS, *_ = _next(FILTER)
 RINGS = next(_rows)  # then come the rings, of a length that the run decides; see `kernel.block_table.rings`
 
@@ -181,6 +207,13 @@ DELTA_PEAK: Final = _score("delta_peak")
 DELTA_RATE_PEAK: Final = _score("delta_rate_peak")
 EFFORT: Final = _score("effort")
 TRAVEL: Final = _score("travel")
+DRIVER_PEAK: Final = _score("driver_torque_peak")
+DRIVER_MEAN: Final = _score("driver_torque_mean")  # integral of |T_d| here
+AGAINST_TIME: Final = _score("against_time")
+AGAINST_PARALLEL: Final = _score("against_parallel")
+OVERRIDDEN: Final = _score("overridden")
+HANDOVER_STEP: Final = _score("handover_step")
+ASSIST_STATE: Final = SCORE + LANES * (SCORES - 1)  # `AssistState`
 
 
 # ------------------------------------------------------------------------------------------------ numbers of a run
@@ -190,12 +223,14 @@ TRAVEL: Final = _score("travel")
     DT, OFFSET, L_FRONT, BOUND, WINDOW, PROFILE, SATURATING, SHAPE, DELTA_MAX, RATE_MAX, LAG, DELAY_SAMPLES, DELAY_PART,
     MODES, EARLIER_FRAMES, CAMERA, PERIOD, CAMERA_DELAY, NOISE_Y, NOISE_PSI, BIAS_Y, BIAS_PSI, STEP_Y, STEP_PSI,
     CURVATURE_GAIN, SEED_LOW, SEED_HIGH, FILTERED, KNOWN_DELAY, KNOWN_AGE, COMMAND_RING, FRAME_RING, A_Y_RING, WIDTH,
-) = range(34)  # fmt: skip
+    HELD, ARMS, RATIO, ASSIST_STIFFNESS, ASSIST_DAMPING, TORQUE_MAX, ARM_DAMPING, ARM_LAG, WHEEL_DAMPING, INERTIA,
+    RETURN_DAMPING, OVERRIDE_TORQUE, OVERRIDE_TIME, RAMP, RETURN_AFTER, COLUMN_STEPS,
+) = range(50)  # fmt: skip
 
 
 def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window: float) -> FloatArray:
     """The numbers of a run that hold for every scenario; `plant` is what a design knows."""
-    actuator, sensors, dt = setup.options.actuator, setup.options.sensors, setup.dt
+    actuator, sensors, driver, dt = setup.options.actuator, setup.options.sensors, setup.options.driver, setup.dt
     whole = math.floor(actuator.delay / dt + 1e-9)
     part = actuator.delay - whole * dt
     known_delay = math.floor(plant.delay / dt + 1e-9)
@@ -236,6 +271,39 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         FRAME_RING: 0 if sensors.ideal else math.ceil((late + period) / dt) + 2,  # length of the ring of frames
         # length of the ring of lateral accelerations, a power of two
         A_Y_RING: 2 ** math.ceil(math.log2(math.ceil(window / dt) + 3)),
+        HELD: driver.holds,  # a driver holds the wheel
+        ARMS: driver.model == "arms",
+        RATIO: setup.vehicle.steering_ratio,
+        ASSIST_STIFFNESS: driver.assist_stiffness,
+        ASSIST_DAMPING: driver.assist_damping,
+        TORQUE_MAX: driver.torque_max,
+        ARM_DAMPING: driver.damping,
+        ARM_LAG: driver.arm_lag,
+        WHEEL_DAMPING: driver.wheel_damping,
+        INERTIA: driver.wheel_inertia + driver.inertia,
+        RETURN_DAMPING: driver.return_damping,
+        OVERRIDE_TORQUE: driver.override_torque,
+        OVERRIDE_TIME: driver.override_time,
+        RAMP: driver.ramp,
+        RETURN_AFTER: driver.return_after,
+        COLUMN_STEPS: _column_steps(setup),  # within a substep
         WIDTH: LANES,  # unknown to the compiler, which would unroll a short loop over the lanes instead
     }
     return np.array([values[n] for n in range(len(values))], dtype=np.float64)
+
+
+NEUROMUSCULAR_LAG: Final = 0.1  # [s] of a driver between what he wants and what his arms do
+LONGEST: Final = 0.03  # [s] longest substep of the Runge-Kutta method: the law's own poles are no slower at high speed
+_COLUMN_REACH: Final = 0.3  # step of the column in units of its fastest time constant
+
+
+def _column_steps(setup: Setup) -> int:
+    """Steps of the column within a substep of the vehicle; an even number, or four of a grip."""
+    driver = setup.options.driver
+    if driver.model == "grip":
+        return 4
+    inertia = driver.wheel_inertia + driver.inertia
+    damping = driver.damping + driver.assist_damping + driver.wheel_damping
+    swings = math.sqrt((driver.assist_stiffness + driver.stiffness[1]) / inertia)
+    substep = setup.dt / math.ceil(setup.dt / LONGEST)
+    return 2 * math.ceil(0.5 * substep * max(swings, damping / inertia) / _COLUMN_REACH)

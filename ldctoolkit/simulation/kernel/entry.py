@@ -17,7 +17,17 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.numba_internals import OPTIONS, source_version, uncounted
 from ldctoolkit.paths import kernels
-from ldctoolkit.simulation.kernel import actuator, block_table, data, exact_loop, model_loop, rk4_loop, road, sight
+from ldctoolkit.simulation.kernel import (
+    actuator,
+    block_table,
+    data,
+    driver,
+    exact_loop,
+    model_loop,
+    rk4_loop,
+    road,
+    sight,
+)
 from ldctoolkit.simulation.kernel.data import ALIVE, COMMAND, LANES, SEEN_E_Y, WHEEL_SEEN
 from ldctoolkit.simulation.kernel.road import lay_road, segment_size, substeps_of
 
@@ -28,6 +38,7 @@ _SOURCES = (
     block_table,
     exact_loop,
     actuator,
+    driver,
     road,
     sight,
     rk4_loop,
@@ -52,13 +63,15 @@ def _entries(version: int) -> Any:
                 exact_loop.start(scene, exact, setting, block, state[block], paths, path_rows)
 
     @numba.njit(cache=True, **OPTIONS)
-    def look(setting, state, k, blocks, times, seen, yaw_rate, heading, wheel):
-        """State, lane and wheel angle as the law sees them at sample k, of some blocks: (m, 4), twice (m, p), (m,)."""
+    def look(setting, state, k, blocks, times, seen, yaw_rate, heading, wheel, torque, yielding):
+        """State, lane and wheel angle as the law sees them at sample k, of some blocks: (m, 4), twice (m, p), (m,); the
+        driver's torque, and whether the assist yields, (m,).
+        """
         if version < 0:
             return
         setting, state, blocks = uncounted(setting), uncounted(state), uncounted(blocks)
         times, seen, yaw_rate, heading = uncounted(times), uncounted(seen), uncounted(yaw_rate), uncounted(heading)
-        wheel = uncounted(wheel)
+        wheel, torque, yielding = uncounted(wheel), uncounted(torque), uncounted(yielding)
         preview, noise = np.zeros((1 + 2 * times.shape[0]) * LANES), np.zeros(2 * LANES)
         for block in blocks:
             w = state[block]
@@ -70,22 +83,22 @@ def _entries(version: int) -> Any:
                 if w[ALIVE + l] > 0.0:
                     for n in range(4):
                         seen[i, n] = w[SEEN_E_Y + n * LANES + l]
-                    wheel[i] = w[WHEEL_SEEN + l]
+                    wheel[i], torque[i], yielding[i] = w[WHEEL_SEEN + l], w[data.TORQUE + l], w[data.YIELDING + l]
                     for j in range(times.shape[0]):
                         yaw_rate[i, j] = preview[(1 + 2 * j) * LANES + l]
                         heading[i, j] = preview[(2 + 2 * j) * LANES + l]
 
     @numba.njit(cache=True, **OPTIONS)
-    def go_on(exact, setting, state, recorded, paths, k, blocks, command):
+    def go_on(exact, setting, state, recorded, motion, paths, k, blocks, command):
         """Sample k of the scenarios of some blocks with the commands (m,); exact steps where there are matrices."""
         if version < 0:
             return
         exact, setting, state, blocks = uncounted(exact), uncounted(setting), uncounted(state), uncounted(blocks)
         recorded, paths, command = uncounted(recorded), uncounted(paths), uncounted(command)
-        most = 1
+        motion, most = uncounted(motion), 1
         for block in blocks:
             most = max(most, substeps_of(state[block]))
-        road, bend = np.empty(3 * segment_size(most)), np.empty(4 * LANES)
+        road, bend, intended = np.empty(3 * segment_size(most)), np.empty(4 * LANES), np.empty(7 * LANES)
         for block in blocks:
             w = state[block]
             for l in range(min(LANES, command.shape[0] - block * LANES)):
@@ -96,20 +109,22 @@ def _entries(version: int) -> Any:
             else:
                 parts = substeps_of(w)
                 end = lay_road(setting, k, w, parts, road, 0)
-                rk4_loop.advance(setting, w, k, parts, road, 0, end, bend, 0, paths)
+                if setting[data.HELD] > 0.0:
+                    driver.lay_recorded(setting, w, motion, block, k, intended, 0)
+                rk4_loop.advance(setting, w, k, parts, road, 0, end, bend, 0, intended, 0, paths)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_any(scene, setting, law, times, recorded, paths, path_rows, blocks, score, diverged, failed):
+    def drive_any(scene, setting, law, times, recorded, motion, paths, path_rows, blocks, score, diverged, failed):
         """Linear laws (d, m, ...) on some blocks of any plant; scores into (d, columns, m)."""
         if version < 0:
             return
         scene, setting, law, times = uncounted(scene), uncounted(setting), uncounted(law), uncounted(times)
-        recorded = uncounted(recorded)
+        recorded, motion = uncounted(recorded), uncounted(motion)
         paths, path_rows, blocks = uncounted(paths), uncounted(path_rows), uncounted(blocks)
         score, diverged, failed = uncounted(score), uncounted(diverged), uncounted(failed)
         for block in blocks:
             rk4_loop.drive_block_any(
-                scene, setting, law, times, recorded, paths, path_rows, block, score, diverged, failed
+                scene, setting, law, times, recorded, motion, paths, path_rows, block, score, diverged, failed
             )
 
     @numba.njit(cache=True, **OPTIONS)

@@ -20,7 +20,7 @@ import numba
 import numpy as np
 
 from ldctoolkit.numba_internals import OPTIONS, copy, fma, larger
-from ldctoolkit.simulation.kernel import actuator, block_table, data, sight
+from ldctoolkit.simulation.kernel import actuator, block_table, data, driver, sight
 from ldctoolkit.simulation.kernel.block_table import L, rings
 from ldctoolkit.simulation.kernel.road import HEADER, POINT_SIZE, lay_point, lay_road, segment_size, substeps_of
 from ldctoolkit.vector_math import arctan, cosine, sine, touches
@@ -35,7 +35,7 @@ _SPUN: Final = 1.5
 
 @numba.njit(forceinline=True, **OPTIONS)
 def _linear(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):  # noqa: ARG001
-    """e_y'' and e_psi'' on linear tyres, and a_y relative to the lane, without v r.
+    """e_y'' and e_psi'' on linear tyres, a_y relative to the lane, without v r, and the front force over the mass.
 
     With w = de_y/dt - v e_psi and omega = de_psi/dt + r (Rajamani's eq. 2.45; dv/dt e_psi where the speed changes),
 
@@ -48,7 +48,7 @@ def _linear(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):  # noqa: ARG0
     front = w[data.STIFFNESS_F + l] * fma(-per_v, fma(w[data.AXLE_F + l], omega, across), delta)
     rear = w[data.STIFFNESS_R + l] * (per_v * fma(w[data.AXLE_R + l], omega, -across))
     relative = fma(-v, lane, fma(-w[data.PRINTED_TERM + l] * turn, per_v, front + rear))
-    return fma(dv, psi, relative), fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear), relative
+    return fma(dv, psi, relative), fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear), relative, front
 
 
 @numba.njit(forceinline=True, **OPTIONS)
@@ -69,7 +69,7 @@ def _saturating(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):
     rear = w[data.GRIP_R + l] * sine(shape * arctan(w[data.STIFFNESS_R + l] * slip_rear))
     a_y = front + rear
     lateral = fma(dv, sin_psi, turn * fma(v, cos_psi, -across * sin_psi)) + fma(-v, omega, a_y) * cos_psi
-    return lateral, fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear), fma(-v, lane, a_y)
+    return lateral, fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear), fma(-v, lane, a_y), front
 
 
 def _with_tyres(slopes):
@@ -94,17 +94,17 @@ def _with_tyres(slopes):
             turn = w[data.NEXT_E_PSI_RATE + l]
             v, dv, per_v = w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l]
             lane, delta = w[data.LANE_START + l], w[data.DELTA_START + l]
-            a_1, b_1, _ = slopes(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape)
+            a_1, b_1, _, front_1 = slopes(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape)
             v, dv, per_v = w[data.V_MID + l], w[data.DV_MID + l], w[data.PER_V_MID + l]
             lane, delta = w[data.LANE_MID + l], w[data.DELTA_MID + l]
             p_2, psi_2, turn_2 = fma(half, a_1, p), fma(half, turn, psi), fma(half, b_1, turn)
-            a_2, b_2, _ = slopes(w, l, p_2, psi_2, turn_2, v, dv, per_v, lane, delta, shape)
+            a_2, b_2, _, _ = slopes(w, l, p_2, psi_2, turn_2, v, dv, per_v, lane, delta, shape)
             p_3, psi_3, turn_3 = fma(half, a_2, p), fma(half, turn_2, psi), fma(half, b_2, turn)
-            a_3, b_3, _ = slopes(w, l, p_3, psi_3, turn_3, v, dv, per_v, lane, delta, shape)
+            a_3, b_3, _, _ = slopes(w, l, p_3, psi_3, turn_3, v, dv, per_v, lane, delta, shape)
             v, dv, per_v = w[data.V_END + l], w[data.DV_END + l], w[data.PER_V_END + l]
             lane, delta = w[data.LANE_END + l], w[data.DELTA_END + l]
             p_4, psi_4, turn_4 = fma(h, a_3, p), fma(h, turn_3, psi), fma(h, b_3, turn)
-            a_4, b_4, _ = slopes(w, l, p_4, psi_4, turn_4, v, dv, per_v, lane, delta, shape)
+            a_4, b_4, _, front_4 = slopes(w, l, p_4, psi_4, turn_4, v, dv, per_v, lane, delta, shape)
             # e_y feeds back into nothing: its values at the stages follow from its rates there
             w[data.PIECE_AREA + l] = fma(h, fma(sixth, p + p_2 + p_3, y), w[data.PIECE_AREA + l])
             w[data.NEXT_E_Y + l] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
@@ -112,6 +112,8 @@ def _with_tyres(slopes):
             w[data.NEXT_E_PSI + l] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
             w[data.NEXT_E_PSI_RATE + l] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
             w[data.PIECE_TIME + l] += h
+            w[data.FRONT_NOW + l] = front_4 if h > 0.0 else w[data.FRONT_NOW + l]
+            w[data.FRONT_RATE + l] = (front_4 - front_1) / h if h > 0.0 else w[data.FRONT_RATE + l]
 
     @numba.njit(forceinline=True, **OPTIONS)
     def accelerations(w, road, point, delta, to, shape, width):
@@ -123,8 +125,8 @@ def _with_tyres(slopes):
             v, dv, per_v, lane = (
                 w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l], w[data.LANE_START + l],
             )  # fmt: skip
-            _, _, relative = slopes(w, l, p, psi, turn, v, dv, per_v, lane, w[data.WORK_0 + l], shape)
-            w[data.WORK_1 + l], w[data.WORK_2 + l] = fma(v, lane, relative), relative
+            _, _, relative, front = slopes(w, l, p, psi, turn, v, dv, per_v, lane, w[data.WORK_0 + l], shape)
+            w[data.WORK_1 + l], w[data.WORK_2 + l], w[data.FRONT_NOW + l] = fma(v, lane, relative), relative, front
         copy(w, to, w, data.WORK_1, 1)
         copy(w, to + 2 * L, w, data.WORK_2, 1)
 
@@ -202,7 +204,7 @@ def begin_sample(setting, w, k):
     # the steering angle at the trigger is not limited
     most = setting[data.DELTA_MAX] if whole >= 0 else math.inf
     most_stale = setting[data.DELTA_MAX] if whole >= 1 else math.inf
-    immediate = setting[data.LAG] == 0.0 and setting[data.RATE_MAX] == math.inf
+    immediate = setting[data.LAG] == 0.0 and setting[data.RATE_MAX] == math.inf and setting[data.HELD] == 0.0
     width, split = int(setting[data.WIDTH]), setting[data.DELAY_PART] > 0.0
     copy(w, newest, w, data.COMMAND, 1)
     copy(w, data.LAST_COMMAND, w, data.COMMAND, 1)
@@ -210,8 +212,9 @@ def begin_sample(setting, w, k):
     copy(w, data.OLD_COMMAND, w, stale, 1)
     copy(w, data.WHEEL_START, w, data.WHEEL, 1)
     for l in range(width):
-        w[data.PIECE_START + l] = w[data.T_0 + l] + k * setting[data.DT]
+        w[data.PIECE_START + l] = w[data.SAMPLE_START + l] = w[data.T_0 + l] + k * setting[data.DT]
         young = min(max(w[data.YOUNG_COMMAND + l], -most), most)
+        w[data.YIELDING + l] = 1.0 if young != w[data.YOUNG_COMMAND + l] else 0.0
         old = min(max(w[data.OLD_COMMAND + l], -most_stale), most_stale)
         w[data.YOUNG_COMMAND + l], w[data.OLD_COMMAND + l] = young, old
         w[data.DELTA_START + l] = (old if split else young) if immediate else w[data.WHEEL + l]
@@ -239,7 +242,13 @@ def begin_segment(setting, w, road, segment):
         w[data.COMMAND + l] = w[data.DELTA_START + l] = w[data.DELTA_MID + l] = w[data.DELTA_END + l] = u
     for n in range(data.SCORES * L):
         w[data.SAVED + n] = w[data.SCORE + n]
-    return actuator.steer(setting, w)
+    if setting[data.HELD] > 0.0:
+        copy(w, data.HELD_WHEEL, w, data.WHEEL, 1)
+        copy(w, data.WHEEL, w, data.REFERENCE, 1)
+    ramps = actuator.steer(setting, w)
+    if setting[data.HELD] > 0.0:
+        driver.begin_segment(w)
+    return ramps
 
 
 @numba.njit(**OPTIONS)
@@ -255,6 +264,8 @@ def begin_substep(setting, w, j, ramps):
             actuator.along_ramp(setting, w, j)
         else:
             actuator.along_decay(setting, w)
+    if setting[data.HELD] > 0.0:
+        driver.hold(setting, w)
 
 
 @numba.njit(**OPTIONS)
@@ -302,10 +313,12 @@ def _drive_segment(setting, w, k, parts, road, segment):
 
 
 @numba.njit(**OPTIONS)
-def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
+def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, intended, intended_offset, paths):
     """Sample k with the command in `COMMAND`: segments of the road from `segment` to `end`. Lanes that go on after."""
     size = segment_size(parts)
     begin_sample(setting, w, k)
+    if setting[data.HELD] > 0.0:
+        driver.begin_sample(setting, w, k, intended, intended_offset)
     _accelerations(setting, w, road, segment + HEADER, data.DELTA_START, data.A_Y_START)
     correct_paths(w, paths)
     while segment < end:
@@ -315,6 +328,8 @@ def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
             at_T(w, road, segment + size, paths)
         segment += size
     settle(setting, w)
+    if setting[data.HELD] > 0.0:
+        driver.supervise(setting, w, k)
     _accelerations(setting, w, road, end - POINT_SIZE, data.WHEEL, data.A_Y_END)
     copy(w, data.BEND_START, bend, bend_offset, 4)
     return end_sample(setting, w, k, paths)
@@ -400,6 +415,10 @@ def start(scene, setting, block, w, paths, path_rows):
         )
         for n in range(9):
             w[data.STIFFNESS_F + n * L + l] = car[n]
+        w[data.REFERENCE + l], w[data.AUTHORITY + l] = scene[i, data.DELTA_0], 1.0
+        w[data.COLUMN + l] = scene[i, data.DELTA_0] * setting[data.RATIO] if setting[data.ARMS] > 0.0 else 0.0
+        for n in range(8):
+            w[data.INTENT + n * L + l] = scene[i, data.DRIVER + n]
         for n in range(2 * int(setting[data.COMMAND_RING])):
             w[data.RINGS + n * L + l] = scene[i, data.DELTA_0]
         w[data.WHEEL_SEEN + l] = w[data.LAST_COMMAND + l]
@@ -423,7 +442,7 @@ def start(scene, setting, block, w, paths, path_rows):
 
 
 @numba.njit(**OPTIONS)
-def drive_block_any(scene, setting, law, times, recorded, paths, path_rows, block, score, diverged, failed):
+def drive_block_any(scene, setting, law, times, recorded, motion, paths, path_rows, block, score, diverged, failed):
     """Every design of a law on one block of scenarios; what designs share is worked out once."""
     m, lookaheads, columns = scene.shape[0], times.shape[1], law.shape[2] - data.LAW
     _, _, _, size = rings(setting)
@@ -435,7 +454,11 @@ def drive_block_any(scene, setting, law, times, recorded, paths, path_rows, bloc
     lane_weights, bend, wide = np.empty(columns * L), np.empty(4 * most * L), (1 + 2 * lookaheads) * L
     road, ends = np.empty((segments * most + 2 * L) * segment_size(parts)), np.zeros(most + 1, dtype=np.int64)
     preview, noise = np.empty(most * wide), np.empty(most * 2 * L)
+    steers = setting[data.HELD] > 0.0
+    intended = np.empty(7 * most * L if steers else 0)
     for k in range(most):
+        if steers:
+            driver.lay_recorded(setting, w, motion, block, k, intended, 7 * k * L)
         ends[k + 1] = lay_road(setting, k, w, parts, road, ends[k])
         block_table.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
         sight.noise_of(setting, k, w, noise, k * 2 * L)
@@ -456,6 +479,8 @@ def drive_block_any(scene, setting, law, times, recorded, paths, path_rows, bloc
         for k in range(most):
             sight.see(setting, w, k, preview, k * wide, noise, k * 2 * L)
             sight.command(setting, w, k, lane_weights, preview, k * wide, lookaheads, columns - 2 * lookaheads)
-            if not advance(setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k * L, paths):
+            if not advance(
+                setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k * L, intended, 7 * k * L, paths
+            ):
                 break
         block_table.store_scores(w, design, block, score, diverged, failed)

@@ -83,11 +83,18 @@ def lay_point(setting, w, substep):
         w[data.TIME + l] = w[data.SEGMENT_START + l] + min(
             substep * w[data.SUBSTEP_LENGTH + l], w[data.SEGMENT_LENGTH + l]
         )
-    along(setting, w, False)
+    lay_time(setting, w)
     for l in range(width):
+        w[data.DV_START + l] = w[data.MOTION_DV + l] * w[data.SEGMENT_IN_T + l]  # beyond T the speed stays
+
+
+@numba.njit(**OPTIONS)
+def lay_time(setting, w):
+    """The road at the times in `TIME`, but for the rate of the speed."""
+    along(setting, w, False)
+    for l in range(int(setting[data.WIDTH])):
         v, s = w[data.MOTION_V + l], min(w[data.TIME + l], w[data.T + l])
-        dv = w[data.MOTION_DV + l] * w[data.SEGMENT_IN_T + l]  # beyond T the speed stays
-        w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l] = v, dv, 1.0 / v
+        w[data.V_START + l], w[data.PER_V_START + l] = v, 1.0 / v
         w[data.LANE_START + l] = v * fma(w[data.CURVATURE_RATE + l], s, w[data.CURVATURE_0 + l])
 
 

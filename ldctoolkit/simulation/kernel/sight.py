@@ -204,7 +204,10 @@ def command(setting, w, k, lane_weights, preview, preview_offset, lookaheads, pa
     width = int(setting[data.WIDTH])
     for l in range(width):
         w[data.COMMAND + l] = w[data.F_I + l] * w[data.E_Y_INTEGRAL + l]
-        w[data.E_Y_INTEGRAL + l] = fma(setting[data.DT], w[data.SEEN_E_Y + l], w[data.E_Y_INTEGRAL + l])
+        stops = w[data.F_CONDITIONED + l] * w[data.YIELDING + l] > 0.0
+        w[data.E_Y_INTEGRAL + l] = fma(
+            0.0 if stops else setting[data.DT], w[data.SEEN_E_Y + l], w[data.E_Y_INTEGRAL + l]
+        )
     for j in range(2 * lookaheads + past):
         copy(w, data.WORK_0, lane_weights, j * L, 1)
         if j < 2 * lookaheads:

@@ -1,0 +1,410 @@
+"""The driver at the wheel: what he means to do, how arms and column move the wheels, when the assist yields.
+
+Angles of the column and torques are those at the steering wheel, in the outward frame; with authority a, tension s,
+
+    arms:  (J_w + J_d) theta'' = T_a + T_d - T_s - b_w theta',
+           T_a = a sat(k_a (theta_a - theta) - b_a theta' + T_s),
+           T_d = s (k_d (theta_d - theta) + b_d (theta_d' - theta')) + (1 - a) T_ff,
+    grip:  delta = delta_d + z,    s g tau_d z' = (1 - g) a sat(delta_a - delta_d - z) - s g z,    T_d = -T_a.
+
+theta_a is what the actuator makes of the command; theta_d and T_ff are the angle and the aligning torque that the
+driver means, parabolas over a sample. The arms take a few steps of the method of Runge and Kutta within a substep of
+the vehicle, with the aligning torque T_s on a straight line; the grip is driven in closed form.
+"""
+
+# mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
+
+import math
+from typing import Final
+
+import numba
+
+from ldctoolkit.control import AssistState
+from ldctoolkit.numba_internals import OPTIONS, copy, fma, larger
+from ldctoolkit.simulation.kernel import data
+from ldctoolkit.simulation.kernel.actuator import parabola
+from ldctoolkit.simulation.kernel.block_table import ACTIVE, SAME, L
+from ldctoolkit.simulation.kernel.road import lay_time
+from ldctoolkit.vector_math import arctan, cosine, decay, moments, sine
+
+_OVERRIDDEN: Final = float(AssistState.OVERRIDDEN)
+_RELEASED: Final = float(AssistState.RELEASED)
+_STRAIGHT, _FOLLOWS, _AGAINST, _RETURNS = 1.0, 2.0, 3.0, 4.0  # positions in `plant_options.INTENTS`
+
+_LAG: Final = 1.0 / data.NEUROMUSCULAR_LAG
+_ACROSS_FOR: Final = 1.0  # [s] that a driver who means to leave the lane steers outward
+_RELAXES_IN: Final = 0.3  # [s] in which a driver gives way
+_RELAXED: Final = 0.05  # share of the tension that stays
+_HARDEST: Final = 2.0  # [m/s^2] that a driver who corrects steers for
+_FELT: Final = 1.0  # [N m] from which a torque against the assist counts
+_STEP: Final = 0.1  # [s] within which the torque at a hand-over may change
+_MOST: Final = 0.999  # share of its largest force that a tyre is steered to
+
+
+# ------------------------------------------------------------------------------------------------ the recorded steering
+
+
+@numba.njit(**OPTIONS)
+def _recorded_motion(setting, w, motion, block):
+    """Rates y' and y'' of the recorded path at the times in `TIME`, into `WORK_0` and `WORK_1`; straight after T."""
+    if motion.shape[0]:
+        for l in range(L):
+            i = min(block * L + l, motion.shape[0] - 1)
+            at = 2.0 * (w[data.TIME + l] - w[data.T_0 + l]) / setting[data.DT]
+            j = min(int(at + SAME), motion.shape[1] - 2)
+            share = min(max(at - j, 0.0), 1.0)
+            for n in range(2):
+                w[data.WORK_0 + n * L + l] = motion[i, j, n] + share * (motion[i, j + 1, n] - motion[i, j, n])
+        return
+    for l in range(int(setting[data.WIDTH])):
+        a, b = w[data.T_0 + l], min(w[data.TIME + l], w[data.T + l])
+        c_0, c_1, c_2 = w[data.BEND_0 + l], w[data.BEND_1 + l], w[data.BEND_2 + l]
+        bend = fma(b, fma(b, c_2, c_1), c_0)
+        whole = b * fma(b, fma(b, c_2 * (1.0 / 3.0), 0.5 * c_1), c_0)
+        rate = w[data.HOLD_RATE + l] + (whole - a * fma(a, fma(a, c_2 * (1.0 / 3.0), 0.5 * c_1), c_0))
+        fallen = decay(-_LAG * max(w[data.TIME + l] - b, 0.0))
+        w[data.WORK_0 + l], w[data.WORK_1 + l] = fma(bend * (1.0 / _LAG), 1.0 - fallen, rate), bend * fallen
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _angle_of_force(w, l, force, shape, slip):
+    """Slip angle of a front tyre with this force over the mass, by two of Newton's steps from an angle nearby."""
+    share = min(max(force / w[data.GRIP_F + l], -_MOST), _MOST)
+    for _ in range(2):
+        stiff = w[data.STIFFNESS_F + l] * slip
+        angle = shape * arctan(stiff)
+        slope = shape * w[data.STIFFNESS_F + l] * max(cosine(angle), 0.02) / fma(stiff, stiff, 1.0)
+        slip -= (sine(angle) - share) / slope
+        largest = 3.0 / w[data.STIFFNESS_F + l]
+        slip = min(max(slip, -largest), largest)
+    return slip
+
+
+@numba.njit(**OPTIONS)
+def _steer_along(setting, w):
+    """Front force, steering angle and yaw acceleration with which the twin moves as recorded.
+
+    The equations of `rk4_loop`, solved for the front force, from y' and y'' in `WORK_0` and `WORK_1`.
+    """
+    saturating, shape = setting[data.SATURATING] > 0.0, setting[data.SHAPE]
+    for l in range(int(setting[data.WIDTH])):
+        p, bend = w[data.WORK_0 + l], w[data.WORK_1 + l]
+        psi, turn = w[data.TWIN_PSI + l], w[data.TWIN_TURN + l]
+        v, per_v, lane = w[data.V_START + l], w[data.PER_V_START + l], w[data.LANE_START + l]
+        dv = w[data.MOTION_DV + l] if w[data.TIME + l] < w[data.T + l] else 0.0
+        omega, delta = turn + lane, w[data.TWIN_DELTA + l]
+        if saturating:
+            sin_psi, cos_psi = sine(psi), cosine(psi)
+            across = fma(-v, sin_psi, p) / cos_psi
+            slip_rear = arctan(fma(w[data.AXLE_R + l], omega, -across) * per_v)
+            rear = w[data.GRIP_R + l] * sine(shape * arctan(w[data.STIFFNESS_R + l] * slip_rear))
+            a_y = (bend - fma(dv, sin_psi, turn * fma(v, cos_psi, -across * sin_psi))) / cos_psi + v * omega
+            front = a_y - rear
+            slip = _angle_of_force(w, l, front / cosine(delta), shape, w[data.TWIN_SLIP + l])
+            w[data.TWIN_SLIP + l] = slip
+            delta = slip + arctan(fma(w[data.AXLE_F + l], omega, across) * per_v)
+        else:
+            across = fma(-v, psi, p)
+            rear = w[data.STIFFNESS_R + l] * (per_v * fma(w[data.AXLE_R + l], omega, -across))
+            front = fma(v, lane, fma(w[data.PRINTED_TERM + l] * turn, per_v, fma(-dv, psi, bend))) - rear
+            delta = front / w[data.STIFFNESS_F + l] + per_v * fma(w[data.AXLE_F + l], omega, across)
+        w[data.TWIN_FRONT + l], w[data.TWIN_DELTA + l] = front, delta
+        w[data.TWIN_YAW + l] = fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear)
+
+
+@numba.njit(**OPTIONS)
+def lay_recorded(setting, w, motion, block, k, intended, to):
+    """Recorded steering over sample k, from `to` on: angle, front force at its start, middle and end; y'' at its start.
+
+    The yaw motion of a twin on the recorded path, by Heun's method; each sample once and in order.
+    """
+    half, most = 0.5 * setting[data.DT], 1
+    for l in range(L):
+        most = max(most, math.ceil(0.25 * w[data.N_SUBSTEPS + l]))
+    for l in range(L):
+        w[data.TIME + l] = w[data.T_0 + l] + k * setting[data.DT]
+    if k == 0:
+        copy(w, data.HOLD_RATE, w, data.E_Y_RATE, 1)
+        copy(w, data.TWIN_PSI, w, data.E_PSI, 2)
+        copy(w, data.TWIN_DELTA, w, data.WHEEL, 1)
+        for l in range(L):
+            w[data.TWIN_SLIP + l] = 0.0
+    lay_time(setting, w)
+    _recorded_motion(setting, w, motion, block)
+    for _ in range(4 if k == 0 else 0):
+        _steer_along(setting, w)
+    copy(intended, to + 6 * L, w, data.WORK_1, 1)
+    for n in range(3):
+        copy(intended, to + n * L, w, data.TWIN_DELTA, 1)
+        copy(intended, to + (3 + n) * L, w, data.TWIN_FRONT, 1)
+        for j in range(most if n < 2 else 0):
+            for l in range(L):
+                count = max(math.ceil(0.25 * w[data.N_SUBSTEPS + l]), 1.0)
+                h = half / count if j < count else 0.0
+                w[data.TWIN_H + l] = h
+                w[data.TIME + l] = (
+                    w[data.T_0 + l] + (k * setting[data.DT] + half * n) + half * min((j + 1) / count, 1.0)
+                )
+                psi, turn, yaw = w[data.TWIN_PSI + l], w[data.TWIN_TURN + l], w[data.TWIN_YAW + l]
+                w[data.TWIN_PSI_BEFORE + l], w[data.TWIN_TURN_BEFORE + l] = psi, turn
+                w[data.TWIN_YAW_BEFORE + l] = yaw
+                w[data.TWIN_PSI + l], w[data.TWIN_TURN + l] = fma(h, turn, psi), fma(h, yaw, turn)
+            lay_time(setting, w)
+            _recorded_motion(setting, w, motion, block)
+            _steer_along(setting, w)
+            for l in range(L):
+                h = 0.5 * w[data.TWIN_H + l]
+                turn = w[data.TWIN_TURN_BEFORE + l]
+                w[data.TWIN_PSI + l] = fma(h, turn + w[data.TWIN_TURN + l], w[data.TWIN_PSI_BEFORE + l])
+                w[data.TWIN_TURN + l] = fma(h, w[data.TWIN_YAW_BEFORE + l] + w[data.TWIN_YAW + l], turn)
+            _steer_along(setting, w)
+
+
+# ------------------------------------------------------------------------------------------------ what he means
+
+
+@numba.njit(**OPTIONS)
+def begin_sample(setting, w, k, intended, to):
+    """What the driver means over sample k, how tense he is, and the assist's authority."""
+    dt = setting[data.DT]
+    ramp = dt / setting[data.RAMP] if setting[data.RAMP] > 0.0 else math.inf
+    fallen, half_fallen = decay(-_LAG * dt), decay(-0.5 * _LAG * dt)
+    copy(w, data.MEANT_START, intended, to, 6)
+    if k == 0:
+        copy(w, data.HOLD_FRONT, intended, to + 3 * L, 1)
+        copy(w, data.HOLD_ANGLE, w, data.WHEEL, 1)
+    for l in range(L):
+        intent, t, bend = w[data.INTENT + l], k * dt, intended[to + 6 * L + l]
+        reacts, own = t >= w[data.REACTION + l] - SAME, intent == _RETURNS
+        back = fma(w[data.FREQUENCY + l], w[data.E_Y + l], 2.0 * setting[data.RETURN_DAMPING] * w[data.E_Y_RATE + l])
+        back = min(max(-w[data.FREQUENCY + l] * back, -_HARDEST), _HARDEST)
+        wanted = w[data.ACROSS + l] if t < _ACROSS_FOR - SAME else 0.0
+        target = (back if own else wanted) - bend
+        acts = (own & reacts) | (intent == _AGAINST)
+        target = target if acts else 0.0
+        q, holds = w[data.OWN_A_Y + l], intent == _STRAIGHT
+        for n in range(3):
+            own_a_y = fma(q - target, 1.0 if n == 0 else (half_fallen if n == 1 else fallen), target)
+            angle = fma(w[data.DELTA_PER_A_Y + l], own_a_y, w[data.MEANT_START + n * L + l])
+            force = fma(w[data.FORCE_PER_A_Y + l], own_a_y, w[data.MEANT_FORCE_START + n * L + l])
+            w[data.MEANT_START + n * L + l] = w[data.HOLD_ANGLE + l] if holds else angle
+            w[data.MEANT_FORCE_START + n * L + l] = w[data.HOLD_FRONT + l] if holds else force
+            w[data.OWN_A_Y + l] = own_a_y
+        for n in range(2):
+            late = min(max((t + n * dt - w[data.REACTION + l]) / _RELAXES_IN, 0.0), 1.0)
+            w[data.TENSE_START + n * L + l] = 1.0 - (1.0 - _RELAXED) * (late if intent == _FOLLOWS else 0.0)
+        state, authority = w[data.ASSIST_STATE + l], w[data.AUTHORITY + l]
+        end = min(authority + ramp, 1.0) if state == ACTIVE else max(authority - ramp, 0.0)
+        w[data.AUTHORITY_START + l], w[data.AUTHORITY + l] = end if ramp == math.inf else authority, end
+
+
+@numba.njit(**OPTIONS)
+def supervise(setting, w, k):
+    """State of the assist at the end of sample k, which is that of the next: override, hand-over, return."""
+    share = min(1.0, _STEP / setting[data.RAMP]) if setting[data.RAMP] > 0.0 else 1.0
+    for l in range(L):
+        if w[data.ALIVE + l] == 0.0:
+            continue
+        beyond, state = abs(w[data.TORQUE + l]) > setting[data.OVERRIDE_TORQUE], w[data.ASSIST_STATE + l]
+        step, count = abs(w[data.ASSIST + l]) * share, w[data.BEYOND + l]
+        if state == ACTIVE:
+            count = count + 1.0 if beyond else 0.0
+            if beyond and count * setting[data.DT] >= setting[data.OVERRIDE_TIME] - SAME:
+                state, w[data.OVERRIDDEN + l] = _OVERRIDDEN, 1.0
+                w[data.HANDOVER_STEP + l] = max(w[data.HANDOVER_STEP + l], step)
+        if state == _OVERRIDDEN and w[data.AUTHORITY + l] == 0.0:
+            state, count = _RELEASED, 0.0
+        if state == _RELEASED and setting[data.RETURN_AFTER] > 0.0:
+            count = 0.0 if beyond else count + 1.0
+            if count * setting[data.DT] >= setting[data.RETURN_AFTER] - SAME:
+                state, count = ACTIVE, 0.0
+        if k + 1 == w[data.ALL_STEPS + l] and state == ACTIVE:
+            w[data.HANDOVER_STEP + l] = max(w[data.HANDOVER_STEP + l], step)
+        limited = abs(w[data.ASSIST + l]) >= setting[data.TORQUE_MAX] * (1.0 - SAME)
+        yields = limited or state != ACTIVE or w[data.AUTHORITY + l] < 1.0
+        w[data.BEYOND + l], w[data.ASSIST_STATE + l] = count, state
+        w[data.YIELDING + l] = 1.0 if yields else w[data.YIELDING + l]
+
+
+# ------------------------------------------------------------------------------------------------ the column
+
+
+@numba.njit(**OPTIONS)
+def begin_segment(w):
+    """Take back what the actuator scored: the wheels move otherwise, and its angle is what the assist follows."""
+    copy(w, data.REFERENCE, w, data.WHEEL, 1)
+    copy(w, data.WHEEL, w, data.HELD_WHEEL, 1)
+    for row in (data.DELTA_PEAK, data.EFFORT, data.TRAVEL):
+        copy(w, row, w, data.SAVED + row - data.SCORE, 1)
+
+
+@numba.njit(**OPTIONS)
+def _lay(setting, w):
+    """What acts along a substep, as polynomials in the time since its start."""
+    direct = setting[data.LAG] == 0.0 and setting[data.RATE_MAX] == math.inf
+    per_dt, ratio = 1.0 / setting[data.DT], setting[data.RATIO] if setting[data.ARMS] > 0.0 else 1.0
+    for l in range(int(setting[data.WIDTH])):
+        h, u = w[data.H + l], w[data.COMMAND + l]
+        a, b, c = w[data.DELTA_START + l], w[data.DELTA_MID + l], w[data.DELTA_END + l]
+        a, b, c = u if direct else a, u if direct else b, u if direct else c
+        per_h = 1.0 / h if h > 0.0 else 0.0
+        w[data.REF_0 + l], w[data.REF_1 + l] = ratio * a, ratio * (4.0 * b - 3.0 * a - c) * per_h
+        w[data.REF_2 + l] = ratio * 2.0 * (a + c - 2.0 * b) * per_h * per_h
+        s = (w[data.PIECE_START + l] + w[data.PIECE_TIME + l] - w[data.SAMPLE_START + l]) * per_dt
+        a, b, c = w[data.MEANT_START + l], w[data.MEANT_MID + l], w[data.MEANT_END + l]
+        d_1, d_2 = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b)
+        w[data.MEANT_0 + l] = ratio * fma(s, fma(s, d_2, d_1), a)
+        w[data.MEANT_1 + l], w[data.MEANT_2 + l] = (
+            ratio * fma(2.0 * s, d_2, d_1) * per_dt,
+            ratio * d_2 * per_dt * per_dt,
+        )
+        a, b, c = w[data.MEANT_FORCE_START + l], w[data.MEANT_FORCE_MID + l], w[data.MEANT_FORCE_END + l]
+        d_1, d_2, trail = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b), w[data.TRAIL_TORQUE + l]
+        w[data.FEED_0 + l] = trail * fma(s, fma(s, d_2, d_1), a)
+        w[data.FEED_1 + l], w[data.FEED_2 + l] = trail * fma(2.0 * s, d_2, d_1) * per_dt, trail * d_2 * per_dt * per_dt
+        w[data.ALIGN_0 + l], w[data.ALIGN_1 + l] = trail * w[data.FRONT_NOW + l], trail * w[data.FRONT_RATE + l]
+        for n in range(2):
+            start, end = w[data.TENSE_START + 2 * n * L + l], w[data.TENSE_END + 2 * n * L + l]
+            w[data.TENSE_0 + 2 * n * L + l] = fma(s, end - start, start)
+            w[data.TENSE_1 + 2 * n * L + l] = (end - start) * per_dt
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _column(w, l, s, angle, rate, k_a, b_a, b_d, b_w, limit, per_inertia):
+    """Acceleration of the column, and both torques, at the time s of a substep."""
+    meant = fma(s, fma(s, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
+    meant_rate = fma(2.0 * s, w[data.MEANT_2 + l], w[data.MEANT_1 + l])
+    reference = fma(s, fma(s, w[data.REF_2 + l], w[data.REF_1 + l]), w[data.REF_0 + l])
+    feed = fma(s, fma(s, w[data.FEED_2 + l], w[data.FEED_1 + l]), w[data.FEED_0 + l])
+    align = fma(s, w[data.ALIGN_1 + l], w[data.ALIGN_0 + l])
+    tense, authority = fma(s, w[data.TENSE_1 + l], w[data.TENSE_0 + l]), fma(s, w[data.AUTH_1 + l], w[data.AUTH_0 + l])
+    assist = authority * min(max(fma(k_a, reference - angle, fma(-b_a, rate, align)), -limit), limit)
+    arms = tense * fma(w[data.STRENGTH + l], meant - angle, b_d * (meant_rate - rate))
+    torque = fma(1.0 - authority, feed, arms)
+    return (assist + torque - align - b_w * rate) * per_inertia, assist, torque
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _score(w, l, h, before, assist_before, torque, assist, angle_before, angle):
+    """Torques and angle at both ends of a step of the length h."""
+    moved, size_before, size = h > 0.0, abs(before), abs(torque)
+    opposes_before = (before * assist_before < 0.0) & (size_before > _FELT)
+    opposes = (torque * assist < 0.0) & (size > _FELT)
+    count = (0.5 if opposes_before else 0.0) + (0.5 if opposes else 0.0)
+    peak = larger(size_before, size)
+    w[data.DRIVER_PEAK + l] = larger(w[data.DRIVER_PEAK + l], peak if moved else 0.0)
+    w[data.DRIVER_MEAN + l] = fma(0.5 * h, size_before + size, w[data.DRIVER_MEAN + l])
+    w[data.AGAINST_TIME + l] = fma(h, count, w[data.AGAINST_TIME + l])
+    stretch = fma(h, count * w[data.PARALLEL + l], w[data.STRETCH + l])
+    w[data.AGAINST_PARALLEL + l] = larger(w[data.AGAINST_PARALLEL + l], stretch)
+    w[data.STRETCH + l] = stretch if opposes | (not moved) else 0.0
+    w[data.TORQUE + l], w[data.ASSIST + l] = (
+        torque if moved else w[data.TORQUE + l],
+        assist if moved else w[data.ASSIST + l],
+    )
+    w[data.DELTA_PEAK + l] = larger(w[data.DELTA_PEAK + l], larger(abs(angle_before), abs(angle)) if moved else 0.0)
+    w[data.TRAVEL + l] += abs(angle - angle_before)
+    middle = 0.5 * (angle_before + angle)
+    w[data.EFFORT + l] += h * (1.0 / 6.0) * fma(4.0 * middle, middle, fma(angle, angle, angle_before * angle_before))
+
+
+@numba.njit(**OPTIONS)
+def _swing(setting, w, n, parts):
+    """Step n of so many of the column within a substep, by the method of Runge and Kutta."""
+    k_a, b_a, limit = setting[data.ASSIST_STIFFNESS], setting[data.ASSIST_DAMPING], setting[data.TORQUE_MAX]
+    b_d, b_w, per_inertia, per_ratio = (
+        setting[data.ARM_DAMPING],
+        setting[data.WHEEL_DAMPING],
+        1.0 / setting[data.INERTIA],
+        1.0 / setting[data.RATIO],
+    )
+    for l in range(int(setting[data.WIDTH])):
+        h, x, y = w[data.H + l] / parts, w[data.COLUMN + l], w[data.COLUMN_RATE + l]
+        s, half = n * h, 0.5 * h
+        a_1, before_assist, before = _column(w, l, s, x, y, k_a, b_a, b_d, b_w, limit, per_inertia)
+        y_2 = fma(half, a_1, y)
+        a_2, _, _ = _column(w, l, s + half, fma(half, y, x), y_2, k_a, b_a, b_d, b_w, limit, per_inertia)
+        y_3 = fma(half, a_2, y)
+        a_3, _, _ = _column(w, l, s + half, fma(half, y_2, x), y_3, k_a, b_a, b_d, b_w, limit, per_inertia)
+        y_4 = fma(h, a_3, y)
+        a_4, _, _ = _column(w, l, s + h, fma(h, y_3, x), y_4, k_a, b_a, b_d, b_w, limit, per_inertia)
+        angle = fma(h * (1.0 / 6.0), fma(2.0, y_2 + y_3, y + y_4), x)
+        rate = fma(h * (1.0 / 6.0), fma(2.0, a_2 + a_3, a_1 + a_4), y)
+        _, assist, torque = _column(w, l, s + h, angle, rate, k_a, b_a, b_d, b_w, limit, per_inertia)
+        _score(w, l, h, before, before_assist, torque, assist, x * per_ratio, angle * per_ratio)
+        w[data.COLUMN + l], w[data.COLUMN_RATE + l] = angle, rate
+
+
+@numba.njit(**OPTIONS)
+def _grip(setting, w, n, parts):
+    """Step n of so many of the grip within a substep, in closed form; its moments over the substep add up."""
+    stiffness, tau = setting[data.ASSIST_STIFFNESS] * setting[data.RATIO], setting[data.ARM_LAG]
+    limit, per_parts = setting[data.TORQUE_MAX] / stiffness, 1.0 / parts
+    for l in range(int(setting[data.WIDTH])):
+        h, g, z = w[data.H + l] * per_parts, w[data.STRENGTH + l], w[data.COLUMN + l]
+        s = n * h
+        e = s + h
+        r_0 = w[data.REF_0 + l] - w[data.MEANT_0 + l]
+        r_1, r_2 = w[data.REF_1 + l] - w[data.MEANT_1 + l], w[data.REF_2 + l] - w[data.MEANT_2 + l]
+        before, after = fma(s, fma(s, r_2, r_1), r_0), fma(e, fma(e, r_2, r_1), r_0)
+        middle = fma(0.5, h, s)
+        holds = g * fma(middle, w[data.TENSE_1 + l], w[data.TENSE_0 + l])
+        pushes = (1.0 - g) * fma(middle, w[data.AUTH_1 + l], w[data.AUTH_0 + l])
+        limited = abs(before - z) > limit
+        pull = pushes * math.copysign(limit, before - z) if limited else pushes * before
+        firm = holds if limited else holds + pushes
+        per_time = firm / (holds * tau)
+        slope = 0.0 if limited else pushes * (after - before) / firm  # a step
+        fall = per_time * h
+        lag = slope / fall if fall > 0.0 else 0.0
+        base = pull / firm - lag
+        remaining = z - base
+        i_0, i_1, i_2 = moments(fall, 1.0)
+        z_end = fma(remaining, decay(-fall), base + slope) if h > 0.0 else z
+        m_0 = fma(remaining, i_0, fma(0.5, slope, base))
+        m_1 = fma(remaining, i_1, fma(1.0 / 3.0, slope, 0.5 * base))
+        m_2 = fma(remaining, i_2, fma(0.25, slope, (1.0 / 3.0) * base))
+        w[data.MOMENT_0 + l] += m_0 * per_parts
+        before_it = 1.0 * n
+        w[data.MOMENT_1 + l] += fma(before_it, m_0, m_1) * per_parts * per_parts
+        w[data.MOMENT_2 + l] += (
+            fma(before_it * before_it, m_0, fma(2.0 * before_it, m_1, m_2)) * per_parts * per_parts * per_parts
+        )
+        a_0, a_1 = fma(s, w[data.AUTH_1 + l], w[data.AUTH_0 + l]), fma(e, w[data.AUTH_1 + l], w[data.AUTH_0 + l])
+        assist_before = a_0 * stiffness * min(max(before - z, -limit), limit)
+        assist = a_1 * stiffness * min(max(after - z_end, -limit), limit)
+        angle_before = z + fma(s, fma(s, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
+        angle = z_end + fma(e, fma(e, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
+        _score(w, l, h, -assist_before, assist_before, -assist, assist, angle_before, angle)
+        w[data.COLUMN + l] = z_end
+
+
+@numba.njit(**OPTIONS)
+def hold(setting, w):
+    """The wheels' angle over a substep, as the parabola that the vehicle sees, and its scores."""
+    _lay(setting, w)
+    for l in range(L):
+        w[data.PARALLEL + l] = 1.0 if w[data.NEXT_E_Y_RATE + l] <= 0.0 else w[data.PARALLEL + l]
+    parts, per_ratio = int(setting[data.COLUMN_STEPS]), 1.0 / setting[data.RATIO]
+    if setting[data.ARMS] > 0.0:
+        for n in range(parts):
+            for l in range(L):
+                if n == 0:
+                    w[data.DELTA_START + l] = w[data.COLUMN + l] * per_ratio
+                if 2 * n == parts:
+                    w[data.DELTA_MID + l] = w[data.COLUMN + l] * per_ratio
+            _swing(setting, w, n, parts)
+        for l in range(L):
+            w[data.DELTA_END + l] = w[data.WHEEL + l] = w[data.COLUMN + l] * per_ratio
+        return
+    for n in range(3 * L):
+        w[data.MOMENT_0 + n] = 0.0
+    for n in range(parts):
+        _grip(setting, w, n, parts)
+    for l in range(L):
+        h = w[data.H + l]
+        z_0, z_1, z_2 = parabola(w[data.MOMENT_0 + l], w[data.MOMENT_1 + l], w[data.MOMENT_2 + l])
+        a, b, c = w[data.MEANT_0 + l], w[data.MEANT_1 + l], w[data.MEANT_2 + l]
+        w[data.DELTA_START + l], w[data.DELTA_MID + l] = a + z_0, fma(0.5 * h, fma(0.5 * h, c, b), a) + z_1
+        end = fma(h, fma(h, c, b), a)
+        w[data.DELTA_END + l], w[data.WHEEL + l] = end + z_2, end + w[data.COLUMN + l] if h > 0.0 else w[data.WHEEL + l]
