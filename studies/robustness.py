@@ -17,17 +17,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.clusters import cluster_error, several, with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
-from ldctoolkit.plant_options import (
-    INTENTS,
-    Actuator,
-    Driver,
-    KalmanFilter,
-    Mismatch,
-    PlantOptions,
-    Residuals,
-    Sensors,
-    Tyres,
-)
+from ldctoolkit.plant_options import Actuator, Driver, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -188,7 +178,6 @@ def _worse_camera(sensors: Sensors) -> Iterator[_Row]:
 
 DRIVER: Final = "driver-"  # begins the names of plants with one kind of driver
 DRIVERS: Final = {
-    "nobody": "hands off the wheel",
     "recorded": "steers on along the recorded path",
     "straight": "holds the wheel as it was at the trigger",
     "follows": "gives way after the reaction time",
@@ -200,10 +189,12 @@ LEAVES: Final = "against"  # the departure is wanted: a small S is no merit of a
 
 def _drivers(options: PlantOptions) -> Iterator[_Row]:
     """Rows of plants whose drivers are of one kind; none where nobody holds the wheel of the study's plant."""
-    for name, what in () if options.driver.ideal else DRIVERS.items():
-        shares: dict[str, Any] = {intent: float(intent == name) for intent in INTENTS}
-        driver = dataclasses.replace(options.driver, **shares) if name in INTENTS else Driver()
-        yield f"{DRIVER}{name}", f"Driver: {name}", what, {"driver": driver}
+    if not options.driver.ideal:
+        yield f"{DRIVER}nobody", "Driver: nobody", "hands off the wheel", {"driver": Driver()}
+        for name, what in DRIVERS.items():
+            shares: dict[str, Any] = {intent: float(intent == name) for intent in DRIVERS}
+            driver = dataclasses.replace(options.driver, **shares)
+            yield f"{DRIVER}{name}", f"Driver: {name}", what, {"driver": driver}
 
 
 def _easier(options: PlantOptions) -> Iterator[_Row]:
@@ -309,17 +300,12 @@ class Robustness(OtherPlants):
     # Scenarios of each side
     left: int
     right: int
-    # (p, d) [m s] Intervals of mean S, and of its paired difference to the reference: above 0 where the design is worse
-    S_low: FloatArray
-    S_high: FloatArray
-    difference_low: FloatArray
-    difference_high: FloatArray
-    # (p, d) Over the interventions, NaN without a driver: mean and 95 % quantile of the driver's peak torque [N m],
-    # mean time against the driver [s], share that the driver overrode
-    torque_mean: FloatArray
-    torque_p95: FloatArray
-    against_time: FloatArray
-    overridden: FloatArray
+    # (2, p, d) [m s] Ends of the intervals of mean S, and of `difference`; NaN where too few scenarios differ
+    S_ends: FloatArray
+    difference_ends: FloatArray
+    # (4, p, d) Over the interventions, NaN without a driver: mean and 95 % quantile of the driver's peak torque [N m],
+    # mean time against the driver [s], share that was overridden
+    felt: FloatArray
     raised: tuple[tuple[int, int, str], ...]  # Positions of plant and design, and the error, of laws that raised
     v: FloatArray  # (k,) [m/s] Speeds of the margins
     # (d, k) Gain margin on the study's plant as a factor: 0 where the loop is unstable, NaN where there is none
@@ -332,63 +318,56 @@ class Robustness(OtherPlants):
         return self.left + self.right
 
     @property
-    def behind(self) -> FloatArray:
-        """Lower ends (p,) of the differences between the reference and the best other ranked design [m s].
-
-        Above 0 where that design is better; NaN where there is none, and where too few scenarios differ.
-        """
-        rivals = ((p, self.rival(p)) for p in range(len(self.plants)))
-        return np.array([math.nan if i is None else -self.difference_high[p, i] for p, i in rivals])
-
-    @property
     def difference(self) -> FloatArray:
-        """Paired difference of mean S to the reference, (p, d) [m s]."""
+        """Paired difference of mean S to the reference, (p, d) [m s]: above 0 where the design is worse."""
         return self.S - self.S[:, :1]
 
     def rival(self, p: int) -> int | None:
         """The ranked design with the smallest S on a plant apart from the reference; None if an S is not known."""
-        S = np.where(self.contends, self.S[p], np.nan)[1:]
-        return 1 + int(np.nanargmin(S)) if np.isfinite(S).any() and np.isfinite(self.S[p, 0]) else None
+        S = np.where(self.contends, self.difference[p], np.nan)[1:]
+        return 1 + int(np.nanargmin(S)) if np.isfinite(S).any() else None
+
+    @property
+    def behind(self) -> FloatArray:
+        """Lower ends (p,) of the differences of the reference to its rivals [m s]: above 0 where these are better."""
+        rivals = ((p, self.rival(p)) for p in range(len(self.plants)))
+        return np.array([math.nan if i is None else -self.difference_ends[1, p, i] for p, i in rivals])
 
     @property
     def drivers(self) -> dict[str, int]:
         """The plants with one kind of driver other than the study's, by its name."""
-        named = enumerate(self.plants)
-        return {name.removeprefix(DRIVER): p for p, name in named if name.startswith(DRIVER)}
+        return {name.removeprefix(DRIVER): p for p, name in enumerate(self.plants) if name.startswith(DRIVER)}
 
     def of_mix(self, driver: Driver) -> dict[str, int]:
         """Each intent that has a share among the study's drivers, and the plant on which all have it."""
-        return {name: self.drivers.get(name, 0) for name in INTENTS if getattr(driver, name)}
+        return {name: self.drivers.get(name, 0) for name in DRIVERS if getattr(driver, name)}
 
     def driver_light(self, ranking: RankedDesigns, position: int, driver: Driver) -> Light | None:
-        """Amber where a driver of the mix who means to stay in the lane puts another ranked design first.
+        """Amber where another ranked design is first with a driver of the mix who means to stay in the lane.
 
-        That is for certain, or by mean S where the design is the first with all drivers together.
+        It counts if it is certain, or if by mean S the order is another than with all drivers together.
         """
         if self.designs[0] != ranking.designs[position].id:
             return None
         names = {design.id: design_name(design) for design in ranking.designs}
-        first, ahead, word, leaving = [], [], "First", ""
-        leads = (top := self.rival(0)) is not None and bool(self.S[0, 0] <= self.S[0, top])
+        leads = (top := self.rival(0)) is not None and self.difference[0, top] >= 0
+        first, ahead, even, leaving = [], [], "", ""
         for intent, p in self.of_mix(driver).items():
             if intent == LEAVES:
-                torque, share = float(self.torque_p95[p, 0]), percent(float(self.overridden[p, 0]), 0)
-                peaks = f"the driver\u2019s torque peaks at {torque:.1f} N m (95 % quantile), {share} override"
-                leaving = f" With {intent} S does not count: {peaks}."
-                continue
-            if (i := self.rival(p)) is None:
-                continue
-            less, low, high = (float(-of[p, i]) for of in (self.difference, self.difference_high, self.difference_low))
-            if low > 0 or (less > 0 and leads):
-                apart = f"{low:.3f} to {high:.3f}" if low > 0 else "not separated"
-                ahead.append(f"with {intent} {names[self.designs[i]]}, S {less:.3f} m s less ({apart})")
-                continue
-            first.append(intent)
-            word = "First, or not separated from it," if less > 0 else word
+                torque, share = float(self.felt[1, p, 0]), percent(float(self.felt[3, p, 0]), 0)
+                leaving = f" With {intent} torque counts: 95 % of the peaks to {torque:.1f} N m, {share} overridden."
+            elif (i := self.rival(p)) is not None:
+                less, low, high = -self.difference[p, i], *-self.difference_ends[::-1, p, i]
+                if low > 0 or (less > 0 and leads):
+                    apart = f"{low:.3f} to {high:.3f}" if low > 0 else "not separated"
+                    ahead.append(f"with {intent} {names[self.designs[i]]}, S {less:.3f} m s less ({apart})")
+                else:
+                    first.append(intent)
+                    even = " or not separated from it" if less > 0 else even
         if ahead:
             return Light("Driver", "warning", f"Another design is first {'; '.join(ahead)}.{leaving}")
         if first:
-            return Light("Driver", "good", f"{word} with each driver of the mix: {', '.join(first)}.{leaving}")
+            return Light("Driver", "good", f"First{even} with each driver of the mix: {', '.join(first)}.{leaving}")
         return Light("Driver", "unknown", f"There is nothing to compare its S with.{leaving}")
 
 
@@ -471,22 +450,19 @@ def work_out(task: RobustnessTask) -> Robustness:
     rows = np.all(known[ran], axis=0)
     S, S_uncorrected, status = drives.S[:, :, rows], drives.S_uncorrected[:, :, rows], drives.status[:, :, rows]
     mean, shape, side = _means(S), S.shape[:2], task.scenarios.side[rows]
-    acted = ~status_among(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID)).reshape(-1, rows.sum())
+    acted = ~status_among(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID)).reshape(mean.size, S.shape[2])
 
-    def ends(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def ends(values: FloatArray) -> FloatArray:
         flat, cluster = values.reshape(acted.shape), task.scenarios.take(rows).cluster
-        pairs = ((np.zeros_like(flat), flat), (flat, np.zeros_like(flat)))
-        low, negative = (lower_ends(*pair, side, CONFIDENCE, cluster).reshape(shape) for pair in pairs)
-        return low, -negative
+        none = np.zeros_like(flat)
+        low, high = (lower_ends(*pair, side, CONFIDENCE, cluster) for pair in ((none, flat), (flat, none)))
+        return np.stack([low, -high]).reshape(2, *shape)
 
-    def of_driver(name: str, share: float | None = None) -> FloatArray:
-        if not rows.any():
-            return np.full(shape, np.nan)
-        flat = drives.driver[name][:, :, rows].reshape(acted.shape)
-        return (masked_mean(flat, acted) if share is None else masked_quantile(flat, acted, share)).reshape(shape)
+    def felt(name: str, share: float | None = None) -> FloatArray:
+        values = drives.driver[name][:, :, rows].reshape(acted.shape)
+        return masked_mean(values, acted) if share is None or not rows.any() else masked_quantile(values, acted, share)
 
-    S_low, S_high = ends(S)
-    difference_low, difference_high = ends(S - S[:, :1])
+    feelings = (felt("driver_torque_peak"), felt("driver_torque_peak", 0.95), felt("against_time"), felt("overridden"))
     thresholds = dict.fromkeys(design.y_s for design in selection.designs if not design.is_baseline)
     takeovers = [Takeover.build(task.scenarios, setup, y_s=y_s) for y_s in thresholds]
     slowest, fastest = trigger_speeds(takeovers) or (SPEEDS[0], SPEEDS[-1])
@@ -511,14 +487,9 @@ def work_out(task: RobustnessTask) -> Robustness:
         S=mean,
         diverged=((status == EventStatus.DIVERGED) & allowed[:, None, rows]).sum(axis=2, dtype=np.int64),
         excess=_means(S - S_uncorrected),
-        difference_low=difference_low,
-        difference_high=difference_high,
-        torque_p95=of_driver("driver_torque_peak", 0.95),
-        overridden=of_driver("overridden"),
-        S_low=np.maximum(S_low, 0.0),
-        S_high=S_high,
-        torque_mean=of_driver("driver_torque_peak"),
-        against_time=of_driver("against_time"),
+        S_ends=np.maximum(ends(S), 0.0),
+        difference_ends=ends(S - S[:, :1]),
+        felt=np.stack(feelings).reshape(4, *shape),
         raised=drives.raised,
         v=v,
         gain=gain,

@@ -18,6 +18,7 @@ from .shell import Section, bullets, details, figure, paragraphs
 
 MOST_LAWS: Final = 4  # designs in the table; their margins too
 MOST_WITH_DRIVERS: Final = 6  # designs in the section with a driver
+HANDS_OFF: Final = "Nobody holds the wheel in this study. What a driver changes: docs/explanation/driver.md."
 ALL: Final = "all together"  # the drivers of the study
 NOT_DRIVEN: Final = (
     "Designs were not driven on other plants for this report: leave --no-robustness out to have them here."
@@ -27,12 +28,13 @@ NOT_DRIVEN: Final = (
 def section(context: Context) -> Section:
     """The section."""
     robustness = context.report.robustness
+    hands_off = HANDS_OFF if context.report.setup.options.driver.ideal else ""
     if robustness is None:
-        return Section("robustness", "Other plants", paragraphs(NOT_DRIVEN, _hands_off(context)))
+        return Section("robustness", "Other plants", paragraphs(NOT_DRIVEN, hands_off))
     shown = tuple(_shown(context, robustness))
     charts = tuple(_margins(context, robustness, shown))
     body = paragraphs(*_sentences(context, robustness)) + to_html(_plants_table(context, robustness, shown))
-    body += bullets(_left_out(robustness)) + paragraphs(_hands_off(context))
+    body += bullets(_left_out(robustness)) + paragraphs(hands_off)
     if charts:
         body += details(
             "Margins of the loop over speed",
@@ -145,11 +147,6 @@ def _margins(context: Context, robustness: Robustness, shown: Shown) -> Iterator
 # ------------------------------------------------------------------------------------------------ with a driver
 
 
-def _hands_off(context: Context) -> str:
-    about = "Nobody holds the wheel in this study. What a driver at the wheel changes: docs/explanation/driver.md."
-    return about if context.report.setup.options.driver.ideal else ""
-
-
 def driver_section(context: Context) -> Section | None:
     """The designs with each kind of driver; none where nobody holds the wheel of the study's plant."""
     driver, robustness = context.report.setup.options.driver, context.report.robustness
@@ -157,79 +154,75 @@ def driver_section(context: Context) -> Section | None:
         return None
     if robustness is None:
         return Section("driver", "With a driver", paragraphs(NOT_DRIVEN))
-    plants = {ALL: 0} | robustness.drivers
     shown = tuple(of for of in _shown(context, robustness, MOST_WITH_DRIVERS) if robustness.contends[of[0]])
-    S = robustness.S[:, [i for i, _ in shown]]
+    plants, S = {ALL: 0} | robustness.drivers, robustness.S[:, [i for i, _ in shown]]
     places = 1 + (S[:, None, :] < S[:, :, None]).sum(axis=2)  # (p, shown)
-    chart = _differences_chart(context, robustness, shown, plants)
-    key = legend([(law_title(context.ranking.designs[position]), context.style(position)) for _, position in shown])
+    change, (low, high) = robustness.difference, robustness.difference_ends
+    laws = [law_title(context.ranking.designs[position]) for _, position in shown]
+    looks = [(i, law, context.style(position)) for law, (i, position) in zip(laws, shown, strict=True)]
+    rows = [
+        [Dot(who, float(change[p, i]), float(low[p, i]), float(high[p, i]), style, tip=f"{who}: {law}")
+         for i, law, style in looks]
+        for who, p in plants.items() if who != LEAVES
+    ]  # fmt: skip
+    x = Axis.around("Difference of mean S [m\u00b7s]", [(dot.low, dot.high, 0.0) for row in rows for dot in row])
+    title = f"Mean S minus that of {context.shown_name} with each kind of driver"
+    chart = dots("drivers", title, rows, x, upright=(0.0, context.shown_name))
     body = paragraphs(*_of_drivers(context, robustness, shown, places))
     body += to_html(_drivers_table(context, robustness, shown, places, plants))
-    caption = f"Mean S minus that of {context.shown_name}, with intervals; right of 0 a design is worse. No {LEAVES}."
-    return Section("driver", "With a driver", body + figure((chart,), caption, key), (chart,))
+    caption = f"{title}, with intervals; to the right a design is worse. Without {LEAVES}."
+    body += figure((chart,), caption, legend([(law, style) for _, law, style in looks]))
+    return Section("driver", "With a driver", body, (chart,))
 
 
 def _of_drivers(context: Context, robustness: Robustness, shown: Shown, places: IntArray) -> Iterator[str]:
-    """Who the drivers are, and which designs keep their place with each of them."""
-    driver = context.report.setup.options.driver
+    """Who the drivers are, and which laws keep their place with each of the mix."""
+    driver, designs = context.report.setup.options.driver, context.ranking.designs
     mix = robustness.of_mix(driver)
     yield (
-        f"The study\u2019s drivers: {', '.join(f'{percent(getattr(driver, name), 0)} {name}' for name in mix)}. Here "
+        f"The study\u2019s drivers: {', '.join(f'{percent(getattr(driver, name), 0)} {name}' for name in mix)}. Below "
         f"all of them are of one kind, on {robustness.n:,} of the study scenarios, with the hands and reaction times "
         "that they have in the study. More: docs/explanation/driver.md."
     )
+    yield "; ".join(f"{who}: {robustness.differences[p]}" for who, p in robustness.drivers.items()) + "."
     counted, kept, moved = {name: p for name, p in mix.items() if name != LEAVES}, [], []
     for k, (i, position) in enumerate(shown if counted and len(shown) > 1 else ()):
-        name, place = design_name(context.ranking.designs[position]), places[0, k]
-        if all(places[p, k] == place for p in counted.values()):
-            kept.append(f"{name} ({place})")
+        law, (low, high) = law_title(designs[position]), robustness.difference_ends[:, :, i]
+        if (places[list(counted.values()), k] == places[0, k]).all():
+            kept.append(f"{law} ({places[0, k]})")
             continue
-        low, high = robustness.difference_low[:, i], robustness.difference_high[:, i]
+        unit = f"m\u00b7s to {context.shown_name}"
         other = (
-            f"{places[p, k]} with {who}" + (f" ({low[p]:+.3f} to {high[p]:+.3f} m\u00b7s to the first)" if i else "")
+            f"{places[p, k]} with {who}" + (f" ({low[p]:+.3f} to {high[p]:+.3f} {unit})" if i else "")
             for who, p in counted.items()
         )
-        moved.append(f"{name}: place {place} with {ALL}, {', '.join(other)}.")
+        moved.append(f"{law}: place {places[0, k]} {ALL}, {', '.join(other)}.")
     if kept or moved:
-        yield f"Designs that keep their place with {', '.join(counted)}: {'; '.join(kept) or 'none'}."
-    yield from moved
+        yield f"Laws that keep their place with {' and '.join(counted)}: {', '.join(kept) or 'none'}. {' '.join(moved)}"
 
 
 def _drivers_table(
     context: Context, robustness: Robustness, shown: Shown, places: IntArray, plants: Mapping[str, int]
 ) -> Table:
-    interval = f"{100 * CONFIDENCE:g} % interval"
     columns = [
-        Column("Driver", text=True), Column("Design", text=True), Column("Place", form="d"),
-        Column("Mean S", "m\u00b7s", ".3f"), Column(interval, "m\u00b7s", ".3f"),
-        Column(f"To {context.shown_name}", "m\u00b7s", "+.3f"), Column("Its interval", "m\u00b7s", "+.3f"),
+        Column("Driver", text=True), Column("Law", text=True), Column("Place", form="d"),
+        Column("Mean S", "m\u00b7s", ".3f"), Column("Interval", "m\u00b7s", ".3f"),
+        Column(f"To {context.shown_name}", "m\u00b7s", "+.3f"), Column("Interval", "m\u00b7s", "+.3f"),
         Column("Peak torque, mean", "N\u00b7m", ".2f"), Column("95 %", "N\u00b7m", ".2f"),
         Column("Against the driver", "s", ".2f"), Column("Overridden", "%", ".0f"),
     ]  # fmt: skip
     rows, of = [], robustness
     for who, p in plants.items():
         share = getattr(context.report.setup.options.driver, who, 0.0)
-        title = f"{who}, {percent(share, 0)}" if share else who
-        title += ": the departure is wanted, torque counts and not S" if who == LEAVES else ""
         placed = np.isfinite(of.S[p]) & (who != LEAVES)
         for k, (i, position) in enumerate(shown):
-            change = [float(of.difference[p, i]), (float(of.difference_low[p, i]), float(of.difference_high[p, i]))]
-            torques = (of.torque_mean, of.torque_p95, of.against_time, 100.0 * of.overridden)
+            ends = [(float(low[p, i]), float(high[p, i])) for low, high in (of.S_ends, of.difference_ends)]
+            change = [float(of.difference[p, i]), ends[1]] if i else [None, None]
+            torque_mean, torque_p95, against, overridden = of.felt[:, p, i].tolist()
             rows.append(Row([
-                title, design_name(context.ranking.designs[position]), int(places[p, k]) if placed[i] else None,
-                float(of.S[p, i]), (float(of.S_low[p, i]), float(of.S_high[p, i])), *(change if i else (None, None)),
-                *(float(values[p, i]) for values in torques),
+                f"{who} ({percent(share, 0)})" if share else who, law_title(context.ranking.designs[position]),
+                int(places[p, k]) if placed[i] else None, float(of.S[p, i]), ends[0], *change,
+                torque_mean, torque_p95, against, 100.0 * overridden,
             ], "winner" if position == context.ranking.winner else ""))  # fmt: skip
-    return Table("The designs with each kind of driver", columns, rows, head=1)
-
-
-def _differences_chart(context: Context, robustness: Robustness, shown: Shown, plants: Mapping[str, int]) -> Chart:
-    """Paired differences to the reference, a row a driver."""
-    change, low, high = robustness.difference, robustness.difference_low, robustness.difference_high
-    rows = [
-        [Dot(who, float(change[p, i]), float(low[p, i]), float(high[p, i]), context.style(position),
-             tip=f"{who}: {design_name(context.ranking.designs[position])}") for i, position in shown]
-        for who, p in plants.items() if who != LEAVES
-    ]  # fmt: skip
-    x = Axis.around("Difference of mean S [m\u00b7s]", [(dot.low, dot.high, 0.0) for row in rows for dot in row])
-    return dots("drivers", "Mean S minus that of the first design", rows, x, upright=(0.0, "no difference"))
+    about = f"{LEAVES}: the departure is wanted, torque counts and not S"
+    return Table(f"Kinds of drivers, {100 * CONFIDENCE:g} % intervals; {about}", columns, rows, head=1)
