@@ -58,7 +58,7 @@ def begin(scene, setting, block, w, paths, path_rows):
         w[data.ALIVE + l] = 1.0 if alive else 0.0
         w[data.WHEEL + l], w[data.PATH_ROW + l] = w[data.LAST_COMMAND + l], path_rows[i]
         w[data.DIVERGED + l] = w[data.FAILED + l] = w[data.PATH_ENTRIES + l] = 0.0
-        w[data.ASSIST_STATE + l] = ACTIVE
+        w[data.ASSIST_STATE + l], w[data.AUTHORITY + l] = ACTIVE, 1.0
         if paths.shape[0] and alive and path_rows[i] >= 0:
             record(paths, w, l, w[data.T_0 + l], 0.0)
 

@@ -415,7 +415,7 @@ def start(scene, setting, block, w, paths, path_rows):
         )
         for n in range(9):
             w[data.STIFFNESS_F + n * L + l] = car[n]
-        w[data.REFERENCE + l], w[data.AUTHORITY + l] = scene[i, data.DELTA_0], 1.0
+        w[data.REFERENCE + l] = scene[i, data.DELTA_0]
         w[data.COLUMN + l] = scene[i, data.DELTA_0] * setting[data.RATIO] if setting[data.ARMS] > 0.0 else 0.0
         for n in range(8):
             w[data.INTENT + n * L + l] = scene[i, data.DRIVER + n]
