@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 PAGES = (
     "ordinary", "hostile", "thousand", "zero-triggered", "one-design", "only-no-control", "left-only", "right-only",
-    "one-scenario", "all-failures", "nothing-ranked", "planning",
+    "one-scenario", "all-failures", "nothing-ranked", "planning", "driver",
 )  # fmt: skip
 
 
