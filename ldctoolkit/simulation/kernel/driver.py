@@ -167,62 +167,70 @@ def lay_recorded(setting, w, motion, block, k, intended, to):
 def begin_sample(setting, w, k, intended, to):
     """What the driver means over sample k, how tense he is, and the assist's authority."""
     dt = setting[data.DT]
-    ramp = dt / setting[data.RAMP] if setting[data.RAMP] > 0.0 else math.inf
+    at_once = setting[data.RAMP] == 0.0
+    ramp = 1.0 if at_once else dt / setting[data.RAMP]
     fallen, half_fallen = decay(-_LAG * dt), decay(-0.5 * _LAG * dt)
     copy(w, data.MEANT_START, intended, to, 6)
     if k == 0:
         copy(w, data.HOLD_FRONT, intended, to + 3 * L, 1)
         copy(w, data.HOLD_ANGLE, w, data.WHEEL, 1)
-    for l in range(L):
-        intent, t, bend = w[data.INTENT + l], k * dt, intended[to + 6 * L + l]
-        reacts, own = t >= w[data.REACTION + l] - SAME, intent == _RETURNS
-        back = fma(w[data.FREQUENCY + l], w[data.E_Y + l], 2.0 * setting[data.RETURN_DAMPING] * w[data.E_Y_RATE + l])
-        back = min(max(-w[data.FREQUENCY + l] * back, -_HARDEST), _HARDEST)
-        wanted = w[data.ACROSS + l] if t < _ACROSS_FOR - SAME else 0.0
-        target = (back if own else wanted) - bend
-        acts = (own & reacts) | (intent == _AGAINST)
-        target = target if acts else 0.0
-        q, holds = w[data.OWN_A_Y + l], intent == _STRAIGHT
-        for n in range(3):
-            own_a_y = fma(q - target, 1.0 if n == 0 else (half_fallen if n == 1 else fallen), target)
-            angle = fma(w[data.DELTA_PER_A_Y + l], own_a_y, w[data.MEANT_START + n * L + l])
-            force = fma(w[data.FORCE_PER_A_Y + l], own_a_y, w[data.MEANT_FORCE_START + n * L + l])
-            w[data.MEANT_START + n * L + l] = w[data.HOLD_ANGLE + l] if holds else angle
-            w[data.MEANT_FORCE_START + n * L + l] = w[data.HOLD_FRONT + l] if holds else force
-            w[data.OWN_A_Y + l] = own_a_y
-        for n in range(2):
-            late = min(max((t + n * dt - w[data.REACTION + l]) / _RELAXES_IN, 0.0), 1.0)
-            w[data.TENSE_START + n * L + l] = 1.0 - (1.0 - _RELAXED) * (late if intent == _FOLLOWS else 0.0)
-        state, authority = w[data.ASSIST_STATE + l], w[data.AUTHORITY + l]
-        end = min(authority + ramp, 1.0) if state == ACTIVE else max(authority - ramp, 0.0)
-        w[data.AUTHORITY_START + l], w[data.AUTHORITY + l] = end if ramp == math.inf else authority, end
+    copy(w, data.WORK_0, intended, to + 6 * L, 1)
+    t, steers_out = k * dt, k * dt < _ACROSS_FOR - SAME
+    for l in range(int(setting[data.WIDTH])):
+        intent, reaction, q, f = w[data.INTENT + l], w[data.REACTION + l], w[data.OWN_A_Y + l], w[data.FREQUENCY + l]
+        back = -f * fma(f, w[data.E_Y + l], 2.0 * setting[data.RETURN_DAMPING] * w[data.E_Y_RATE + l])
+        back = min(max(back, -_HARDEST), _HARDEST)
+        returns, holds = (intent == _RETURNS) & (t >= reaction - SAME), intent == _STRAIGHT
+        target = back if returns else (w[data.ACROSS + l] if steers_out else 0.0)
+        target = target - w[data.WORK_0 + l] if returns | (intent == _AGAINST) else 0.0
+        q_mid, q_end = fma(q - target, half_fallen, target), fma(q - target, fallen, target)
+        angle, force = w[data.DELTA_PER_A_Y + l], w[data.FORCE_PER_A_Y + l]
+        a, b, c = w[data.MEANT_START + l], w[data.MEANT_MID + l], w[data.MEANT_END + l]
+        held = w[data.HOLD_ANGLE + l]
+        w[data.MEANT_START + l], w[data.MEANT_MID + l] = (
+            held if holds else fma(angle, q, a),
+            held if holds else fma(angle, q_mid, b),
+        )
+        w[data.MEANT_END + l] = held if holds else fma(angle, q_end, c)
+        a, b, c = w[data.MEANT_FORCE_START + l], w[data.MEANT_FORCE_MID + l], w[data.MEANT_FORCE_END + l]
+        held = w[data.HOLD_FRONT + l]
+        w[data.MEANT_FORCE_START + l] = held if holds else fma(force, q, a)
+        w[data.MEANT_FORCE_MID + l] = held if holds else fma(force, q_mid, b)
+        w[data.MEANT_FORCE_END + l], w[data.OWN_A_Y + l] = held if holds else fma(force, q_end, c), q_end
+        late = min(max((t - reaction) * (1.0 / _RELAXES_IN), 0.0), 1.0)
+        later = min(max((t + dt - reaction) * (1.0 / _RELAXES_IN), 0.0), 1.0)
+        gives = _RELAXED - 1.0 if intent == _FOLLOWS else 0.0
+        w[data.TENSE_START + l], w[data.TENSE_END + l] = fma(gives, late, 1.0), fma(gives, later, 1.0)
+        authority = w[data.AUTHORITY + l]
+        end = min(authority + ramp, 1.0) if w[data.ASSIST_STATE + l] == ACTIVE else max(authority - ramp, 0.0)
+        w[data.AUTHORITY_START + l], w[data.AUTHORITY + l] = end if at_once else authority, end
 
 
 @numba.njit(**OPTIONS)
 def supervise(setting, w, k):
     """State of the assist at the end of sample k, which is that of the next: override, hand-over, return."""
     share = min(1.0, _STEP / setting[data.RAMP]) if setting[data.RAMP] > 0.0 else 1.0
-    for l in range(L):
-        if w[data.ALIVE + l] == 0.0:
-            continue
-        beyond, state = abs(w[data.TORQUE + l]) > setting[data.OVERRIDE_TORQUE], w[data.ASSIST_STATE + l]
-        step, count = abs(w[data.ASSIST + l]) * share, w[data.BEYOND + l]
-        if state == ACTIVE:
-            count = count + 1.0 if beyond else 0.0
-            if beyond and count * setting[data.DT] >= setting[data.OVERRIDE_TIME] - SAME:
-                state, w[data.OVERRIDDEN + l] = _OVERRIDDEN, 1.0
-                w[data.HANDOVER_STEP + l] = max(w[data.HANDOVER_STEP + l], step)
-        if state == _OVERRIDDEN and w[data.AUTHORITY + l] == 0.0:
-            state, count = _RELEASED, 0.0
-        if state == _RELEASED and setting[data.RETURN_AFTER] > 0.0:
-            count = 0.0 if beyond else count + 1.0
-            if count * setting[data.DT] >= setting[data.RETURN_AFTER] - SAME:
-                state, count = ACTIVE, 0.0
-        if k + 1 == w[data.ALL_STEPS + l] and state == ACTIVE:
-            w[data.HANDOVER_STEP + l] = max(w[data.HANDOVER_STEP + l], step)
-        limited = abs(w[data.ASSIST + l]) >= setting[data.TORQUE_MAX] * (1.0 - SAME)
-        yields = limited or state != ACTIVE or w[data.AUTHORITY + l] < 1.0
-        w[data.BEYOND + l], w[data.ASSIST_STATE + l] = count, state
+    dt, after = setting[data.DT], setting[data.RETURN_AFTER]
+    hold, calm = setting[data.OVERRIDE_TIME] - SAME, after - SAME if after > 0.0 else math.inf
+    firm, limit = setting[data.OVERRIDE_TORQUE], setting[data.TORQUE_MAX] * (1.0 - SAME)
+    for l in range(int(setting[data.WIDTH])):
+        alive, state, authority = w[data.ALIVE + l] > 0.0, w[data.ASSIST_STATE + l], w[data.AUTHORITY + l]
+        beyond, step = abs(w[data.TORQUE + l]) > firm, abs(w[data.ASSIST + l]) * share
+        count = w[data.BEYOND + l] + 1.0
+        long_beyond = count if beyond else 0.0
+        trips = (state == ACTIVE) & beyond & (long_beyond * dt >= hold)
+        leaves = (authority == 0.0) & ((state == _OVERRIDDEN) | trips)
+        long_calm = 0.0 if beyond else (1.0 if leaves else count)
+        comes_back = ((state == _RELEASED) | leaves) & (long_calm * dt >= calm)
+        after_it = _OVERRIDDEN if trips else state
+        after_it = ACTIVE if comes_back else (_RELEASED if leaves else after_it)
+        passed = long_beyond if state == ACTIVE else long_calm
+        w[data.BEYOND + l] = 0.0 if comes_back | trips else passed
+        w[data.ASSIST_STATE + l] = after_it if alive else state
+        w[data.OVERRIDDEN + l] = 1.0 if trips & alive else w[data.OVERRIDDEN + l]
+        hands_over = trips | ((k + 1 == w[data.ALL_STEPS + l]) & (after_it == ACTIVE))
+        w[data.HANDOVER_STEP + l] = larger(w[data.HANDOVER_STEP + l], step if hands_over & alive else 0.0)
+        yields = (abs(w[data.ASSIST + l]) >= limit) | (after_it != ACTIVE) | (authority < 1.0)
         w[data.YIELDING + l] = 1.0 if yields else w[data.YIELDING + l]
 
 
@@ -244,11 +252,14 @@ def _lay(setting, w):
     direct = setting[data.LAG] == 0.0 and setting[data.RATE_MAX] == math.inf
     per_dt, ratio = 1.0 / setting[data.DT], setting[data.RATIO] if setting[data.ARMS] > 0.0 else 1.0
     for l in range(int(setting[data.WIDTH])):
+        w[data.PARALLEL + l] = 1.0 if w[data.NEXT_E_Y_RATE + l] <= 0.0 else w[data.PARALLEL + l]
+        w[data.MOMENT_0 + l] = w[data.MOMENT_1 + l] = w[data.MOMENT_2 + l] = 0.0
         h, u = w[data.H + l], w[data.COMMAND + l]
         a, b, c = w[data.DELTA_START + l], w[data.DELTA_MID + l], w[data.DELTA_END + l]
         a, b, c = u if direct else a, u if direct else b, u if direct else c
         per_h = 1.0 / h if h > 0.0 else 0.0
         w[data.REF_0 + l], w[data.REF_1 + l] = ratio * a, ratio * (4.0 * b - 3.0 * a - c) * per_h
+        w[data.DELTA_START + l] = w[data.COLUMN + l] * (1.0 / ratio)  # of the arms
         w[data.REF_2 + l] = ratio * 2.0 * (a + c - 2.0 * b) * per_h * per_h
         s = (w[data.PIECE_START + l] + w[data.PIECE_TIME + l] - w[data.SAMPLE_START + l]) * per_dt
         a, b, c = w[data.MEANT_START + l], w[data.MEANT_MID + l], w[data.MEANT_END + l]
@@ -310,7 +321,7 @@ def _score(w, l, h, before, assist_before, torque, assist, angle_before, angle):
 
 @numba.njit(**OPTIONS)
 def _swing(setting, w, n, parts):
-    """Step n of so many of the column within a substep, by the method of Runge and Kutta."""
+    """Step n of so many of the column within a substep, by Runge and Kutta's method; the wheels' angle after it."""
     k_a, b_a, limit = setting[data.ASSIST_STIFFNESS], setting[data.ASSIST_DAMPING], setting[data.TORQUE_MAX]
     b_d, b_w, per_inertia, per_ratio = (
         setting[data.ARM_DAMPING],
@@ -333,6 +344,7 @@ def _swing(setting, w, n, parts):
         _, assist, torque = _column(w, l, s + h, angle, rate, k_a, b_a, b_d, b_w, limit, per_inertia)
         _score(w, l, h, before, before_assist, torque, assist, x * per_ratio, angle * per_ratio)
         w[data.COLUMN + l], w[data.COLUMN_RATE + l] = angle, rate
+        w[data.MOMENT_0 + l] = angle * per_ratio
 
 
 @numba.njit(**OPTIONS)
@@ -383,25 +395,18 @@ def _grip(setting, w, n, parts):
 def hold(setting, w):
     """The wheels' angle over a substep, as the parabola that the vehicle sees, and its scores."""
     _lay(setting, w)
-    for l in range(L):
-        w[data.PARALLEL + l] = 1.0 if w[data.NEXT_E_Y_RATE + l] <= 0.0 else w[data.PARALLEL + l]
-    parts, per_ratio = int(setting[data.COLUMN_STEPS]), 1.0 / setting[data.RATIO]
+    parts = int(setting[data.COLUMN_STEPS])
     if setting[data.ARMS] > 0.0:
         for n in range(parts):
-            for l in range(L):
-                if n == 0:
-                    w[data.DELTA_START + l] = w[data.COLUMN + l] * per_ratio
-                if 2 * n == parts:
-                    w[data.DELTA_MID + l] = w[data.COLUMN + l] * per_ratio
             _swing(setting, w, n, parts)
-        for l in range(L):
-            w[data.DELTA_END + l] = w[data.WHEEL + l] = w[data.COLUMN + l] * per_ratio
+            if 2 * (n + 1) == parts:
+                copy(w, data.DELTA_MID, w, data.MOMENT_0, 1)
+        copy(w, data.DELTA_END, w, data.MOMENT_0, 1)
+        copy(w, data.WHEEL, w, data.MOMENT_0, 1)
         return
-    for n in range(3 * L):
-        w[data.MOMENT_0 + n] = 0.0
     for n in range(parts):
         _grip(setting, w, n, parts)
-    for l in range(L):
+    for l in range(int(setting[data.WIDTH])):
         h = w[data.H + l]
         z_0, z_1, z_2 = parabola(w[data.MOMENT_0 + l], w[data.MOMENT_1 + l], w[data.MOMENT_2 + l])
         a, b, c = w[data.MEANT_0 + l], w[data.MEANT_1 + l], w[data.MEANT_2 + l]
