@@ -180,8 +180,8 @@ def _of_drivers(context: Context, robustness: Robustness, shown: Shown, places: 
     driver, designs = context.report.setup.options.driver, context.ranking.designs
     mix = robustness.of_mix(driver)
     yield (
-        f"The study\u2019s drivers: {', '.join(f'{percent(getattr(driver, name), 0)} {name}' for name in mix)}. Below "
-        f"all of them are of one kind, on {robustness.n:,} of the study scenarios, with the hands and reaction times "
+        f"The study\u2019s drivers: {', '.join(f'{percent(getattr(driver, name), 0)} {name}' for name in mix)}. In a "
+        f"row below all are of one kind, on {robustness.n:,} of the study scenarios, with the hands and reaction times "
         "that they have in the study. More: docs/explanation/driver.md."
     )
     yield "; ".join(f"{who}: {robustness.differences[p]}" for who, p in robustness.drivers.items()) + "."
@@ -225,4 +225,4 @@ def _drivers_table(
                 torque_mean, torque_p95, against, 100.0 * overridden,
             ], "winner" if position == context.ranking.winner else ""))  # fmt: skip
     about = f"{LEAVES}: the departure is wanted, torque counts and not S"
-    return Table(f"Kinds of drivers, {100 * CONFIDENCE:g} % intervals; {about}", columns, rows, head=1)
+    return Table(f"Kinds of drivers, {100 * CONFIDENCE:g} % intervals; {about}", columns, rows)
