@@ -293,17 +293,18 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
 
 
 NEUROMUSCULAR_LAG: Final = 0.1  # [s] of a driver between what he wants and what his arms do
+_COLUMN_REACH: Final = 0.6  # step of the column in units of its fastest time constant
 LONGEST: Final = 0.03  # [s] longest substep of the Runge-Kutta method: the law's own poles are no slower at high speed
-_COLUMN_REACH: Final = 0.3  # step of the column in units of its fastest time constant
 
 
 def _column_steps(setup: Setup) -> int:
-    """Steps of the column within a substep of the vehicle; an even number, or four of a grip."""
-    driver = setup.options.driver
+    """Steps of the column within a substep of the vehicle: as many again where the angle that it follows jumps."""
+    driver, actuator = setup.options.driver, setup.options.actuator
+    smooth = 1 if actuator.lag > 0.0 or actuator.rate_max is not None else 2
     if driver.model == "grip":
-        return 4
+        return 2 * smooth
     inertia = driver.wheel_inertia + driver.inertia
     damping = driver.damping + driver.assist_damping + driver.wheel_damping
     swings = math.sqrt((driver.assist_stiffness + driver.stiffness[1]) / inertia)
     substep = setup.dt / math.ceil(setup.dt / LONGEST)
-    return 2 * math.ceil(0.5 * substep * max(swings, damping / inertia) / _COLUMN_REACH)
+    return smooth * math.ceil(substep * max(swings, damping / inertia) / _COLUMN_REACH)

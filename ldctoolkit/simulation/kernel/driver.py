@@ -296,15 +296,15 @@ def _column(w, l, s, angle, rate, k_a, b_a, b_d, b_w, limit, per_inertia):
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _score(w, l, h, before, assist_before, torque, assist, angle_before, angle):
-    """Torques and angle at both ends of a step of the length h."""
+def _score(w, l, h, before, assist_before, torque, assist, mean, angle_before, angle):
+    """Torques and angle at both ends of a step of the length h, and the mean size of the driver's torque."""
     moved, size_before, size = h > 0.0, abs(before), abs(torque)
     opposes_before = (before * assist_before < 0.0) & (size_before > _FELT)
     opposes = (torque * assist < 0.0) & (size > _FELT)
     count = (0.5 if opposes_before else 0.0) + (0.5 if opposes else 0.0)
     peak = larger(size_before, size)
     w[data.DRIVER_PEAK + l] = larger(w[data.DRIVER_PEAK + l], peak if moved else 0.0)
-    w[data.DRIVER_MEAN + l] = fma(0.5 * h, size_before + size, w[data.DRIVER_MEAN + l])
+    w[data.DRIVER_MEAN + l] = fma(h, mean, w[data.DRIVER_MEAN + l])
     w[data.AGAINST_TIME + l] = fma(h, count, w[data.AGAINST_TIME + l])
     stretch = fma(h, count * w[data.PARALLEL + l], w[data.STRETCH + l])
     w[data.AGAINST_PARALLEL + l] = larger(w[data.AGAINST_PARALLEL + l], stretch)
@@ -321,7 +321,7 @@ def _score(w, l, h, before, assist_before, torque, assist, angle_before, angle):
 
 @numba.njit(**OPTIONS)
 def _swing(setting, w, n, parts):
-    """Step n of so many of the column within a substep, by Runge and Kutta's method; the wheels' angle after it."""
+    """Step n of so many of the column within a substep, by Runge and Kutta; the wheels' angle at its end and middle."""
     k_a, b_a, limit = setting[data.ASSIST_STIFFNESS], setting[data.ASSIST_DAMPING], setting[data.TORQUE_MAX]
     b_d, b_w, per_inertia, per_ratio = (
         setting[data.ARM_DAMPING],
@@ -342,52 +342,81 @@ def _swing(setting, w, n, parts):
         angle = fma(h * (1.0 / 6.0), fma(2.0, y_2 + y_3, y + y_4), x)
         rate = fma(h * (1.0 / 6.0), fma(2.0, a_2 + a_3, a_1 + a_4), y)
         _, assist, torque = _column(w, l, s + h, angle, rate, k_a, b_a, b_d, b_w, limit, per_inertia)
-        _score(w, l, h, before, before_assist, torque, assist, x * per_ratio, angle * per_ratio)
+        mean = 0.5 * (abs(before) + abs(torque))
+        _score(w, l, h, before, before_assist, torque, assist, mean, x * per_ratio, angle * per_ratio)
         w[data.COLUMN + l], w[data.COLUMN_RATE + l] = angle, rate
         w[data.MOMENT_0 + l] = angle * per_ratio
+        w[data.MOMENT_1 + l] = 0.5 * per_ratio * fma(0.25 * h, y - rate, x + angle)  # of the cubic
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _relax(z, base, slope, fall):
+    """End of z = base + slope s + (z - base) exp(-fall s) at s = 1, and its integrals of s^n z, n = 0, 1, 2."""
+    remaining = z - base
+    i_0, i_1, i_2 = moments(fall, 1.0)
+    m_0, m_1 = fma(remaining, i_0, fma(0.5, slope, base)), fma(remaining, i_1, fma(1.0 / 3.0, slope, 0.5 * base))
+    return (
+        fma(remaining, decay(-fall), base + slope),
+        m_0,
+        m_1,
+        fma(remaining, i_2, fma(0.25, slope, base * (1.0 / 3.0))),
+    )
 
 
 @numba.njit(**OPTIONS)
 def _grip(setting, w, n, parts):
-    """Step n of so many of the grip within a substep, in closed form; its moments over the substep add up."""
+    """Step n of so many of the grip within a substep, in closed form; its moments over the substep add up.
+
+    First the assist's torque is at its limit, if it is, until one of Newton's steps after the first guess; then the
+    angle that it follows is a straight line.
+    """
     stiffness, tau = setting[data.ASSIST_STIFFNESS] * setting[data.RATIO], setting[data.ARM_LAG]
-    limit, per_parts = setting[data.TORQUE_MAX] / stiffness, 1.0 / parts
+    limit, per_tau, part, first = setting[data.TORQUE_MAX] / stiffness, 1.0 / tau, 1.0 / parts, n / parts
     for l in range(int(setting[data.WIDTH])):
-        h, g, z = w[data.H + l] * per_parts, w[data.STRENGTH + l], w[data.COLUMN + l]
+        h, g, z = w[data.H + l] * part, w[data.STRENGTH + l], w[data.COLUMN + l]
         s = n * h
-        e = s + h
+        e, middle, per_h = s + h, fma(0.5, h, s), 1.0 / h if h > 0.0 else 0.0
         r_0 = w[data.REF_0 + l] - w[data.MEANT_0 + l]
         r_1, r_2 = w[data.REF_1 + l] - w[data.MEANT_1 + l], w[data.REF_2 + l] - w[data.MEANT_2 + l]
         before, after = fma(s, fma(s, r_2, r_1), r_0), fma(e, fma(e, r_2, r_1), r_0)
-        middle = fma(0.5, h, s)
+        rate = (after - before) * per_h
         holds = g * fma(middle, w[data.TENSE_1 + l], w[data.TENSE_0 + l])
         pushes = (1.0 - g) * fma(middle, w[data.AUTH_1 + l], w[data.AUTH_0 + l])
-        limited = abs(before - z) > limit
-        pull = pushes * math.copysign(limit, before - z) if limited else pushes * before
-        firm = holds if limited else holds + pushes
-        per_time = firm / (holds * tau)
-        slope = 0.0 if limited else pushes * (after - before) / firm  # a step
-        fall = per_time * h
-        lag = slope / fall if fall > 0.0 else 0.0
-        base = pull / firm - lag
-        remaining = z - base
-        i_0, i_1, i_2 = moments(fall, 1.0)
-        z_end = fma(remaining, decay(-fall), base + slope) if h > 0.0 else z
-        m_0 = fma(remaining, i_0, fma(0.5, slope, base))
-        m_1 = fma(remaining, i_1, fma(1.0 / 3.0, slope, 0.5 * base))
-        m_2 = fma(remaining, i_2, fma(0.25, slope, (1.0 / 3.0) * base))
-        w[data.MOMENT_0 + l] += m_0 * per_parts
-        before_it = 1.0 * n
-        w[data.MOMENT_1 + l] += fma(before_it, m_0, m_1) * per_parts * per_parts
-        w[data.MOMENT_2 + l] += (
-            fma(before_it * before_it, m_0, fma(2.0 * before_it, m_1, m_2)) * per_parts * per_parts * per_parts
-        )
+        # at the limit: how long
+        excess = abs(before - z) - limit
+        sign, base = math.copysign(1.0, before - z), pushes * math.copysign(limit, before - z) / holds
+        falls = sign * fma(base - z, per_tau, -rate)
+        at = min(excess / falls, h) if falls > 0.0 else h
+        remaining = (z - base) * decay(-at * per_tau)
+        falls = sign * fma(-remaining, per_tau, -rate)
+        left = sign * (fma(rate, at, before) - base - remaining) - limit
+        at = min(max(at + left / falls, 0.0), h) if falls > 0.0 else h
+        at = at if excess > 0.0 else 0.0
+        z_at, m_0, m_1, m_2 = _relax(z, base, 0.0, at * per_tau)
+        share, rest = at * per_h, h - at
+        # then without it
+        firm = holds + pushes
+        fall = rest * firm / holds * per_tau
+        slope = pushes * rate * rest / firm
+        r_at = fma(rate, at, before)
+        base = pushes * r_at / firm - (slope / fall if fall > 0.0 else 0.0)
+        z_end, n_0, n_1, n_2 = _relax(z_at, base, slope, fall)
+        z_end = z_end if h > 0.0 else z
+        # integrals over the substep, whose parts begin at `first` and `a`
+        p, q, a = part * share, part * (1.0 - share), fma(part, share, first)
+        w[data.MOMENT_0 + l] += fma(p, m_0, q * n_0)
+        w[data.MOMENT_1 + l] += p * fma(first, m_0, p * m_1) + q * fma(a, n_0, q * n_1)
+        w[data.MOMENT_2 + l] += p * fma(first * first, m_0, p * fma(2.0 * first, m_1, p * m_2))
+        w[data.MOMENT_2 + l] += q * fma(a * a, n_0, q * fma(2.0 * a, n_1, q * n_2))
         a_0, a_1 = fma(s, w[data.AUTH_1 + l], w[data.AUTH_0 + l]), fma(e, w[data.AUTH_1 + l], w[data.AUTH_0 + l])
         assist_before = a_0 * stiffness * min(max(before - z, -limit), limit)
         assist = a_1 * stiffness * min(max(after - z_end, -limit), limit)
+        same = (r_at - z_at) * (after - z_end) > 0.0
+        mean = abs(0.5 * (r_at + after) - n_0) if same else 0.5 * (abs(r_at - z_at) + abs(after - z_end))
+        mean = 0.5 * (a_0 + a_1) * stiffness * fma(share, limit - mean, mean)
         angle_before = z + fma(s, fma(s, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
         angle = z_end + fma(e, fma(e, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
-        _score(w, l, h, -assist_before, assist_before, -assist, assist, angle_before, angle)
+        _score(w, l, h, -assist_before, assist_before, -assist, assist, mean, angle_before, angle)
         w[data.COLUMN + l] = z_end
 
 
@@ -399,8 +428,8 @@ def hold(setting, w):
     if setting[data.ARMS] > 0.0:
         for n in range(parts):
             _swing(setting, w, n, parts)
-            if 2 * (n + 1) == parts:
-                copy(w, data.DELTA_MID, w, data.MOMENT_0, 1)
+            if n == (parts - 1) // 2:
+                copy(w, data.DELTA_MID, w, data.MOMENT_0 + (parts % 2) * L, 1)
         copy(w, data.DELTA_END, w, data.MOMENT_0, 1)
         copy(w, data.WHEEL, w, data.MOMENT_0, 1)
         return
