@@ -131,7 +131,7 @@ def test_a_design_that_other_plants_destroy_is_found(task: RobustnessTask, robus
 # ------------------------------------------------------------------------------------------------ drivers
 
 
-MIX = Driver(straight=0.5, recorded=0.2, against=0.3, model="grip", grip=(0.3, 0.3))
+MIX = Driver(straight=0.5, recorded=0.2, against=0.3, grip=(0.3, 0.3), torque_max=40.0)  # never at the limit
 
 
 def test_each_driver_of_a_study_is_a_plant_and_nobody_is_one() -> None:
@@ -143,7 +143,7 @@ def test_each_driver_of_a_study_is_a_plant_and_nobody_is_one() -> None:
     plants = named(options)
     assert list(plants) == [f"driver-{name}" for name in ("nobody", *INTENTS)]
     assert not any(plant.adds for plant in plants.values())
-    straight = Driver(straight=1.0, model="grip", grip=(0.3, 0.3))
+    straight = Driver(straight=1.0, grip=(0.3, 0.3), torque_max=40.0)
     assert plants["driver-straight"].options == dataclasses.replace(options, driver=straight)
     assert plants["driver-nobody"].options == PlantOptions(actuator=Actuator(lag=0.1))
     # the study's own plant is not there twice
@@ -239,6 +239,9 @@ def test_the_light_of_the_driver_names_who_changes_the_order(
     assert light is not None
     assert light.state == "good"
     assert light.text.startswith("First or not separated from it with each driver of the mix: recorded, straight.")
+    light = with_scores(driven, same | {"": (1.005, 1.0), "straight": (1.05, 1.0)})
+    assert light is not None
+    assert light.state == "warning"
     light = with_scores(driven, {name: (1.0, float("nan")) for name in same})
     assert light is not None
     assert light.state == "unknown"
