@@ -127,7 +127,7 @@ def test_without_a_model_recorded_departures_are_replayed(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "init: give a study of the catalog, --law or --data-sheet; allowed: ideal, my-vehicle, paper, "),
+        ([], "init: give a study of the catalog, --law or --data-sheet; allowed: driver, ideal, my-vehicle, paper, "),
         (["papr"], "study: 'papr' is not in the catalog; did you mean 'paper'?"),
         (["there.toml"], "study: 'there.toml' is not in the catalog"),
         (["--law", "lqq"], "did you mean 'lqr'?"),
