@@ -160,7 +160,7 @@ class BarrierLaw(SteeringLaw):
         lower, upper = self.interval(x, preview.yaw_rate)
         # laid out as when it runs alone: the order of its sums may depend on it
         yaw_rate, heading = (np.ascontiguousarray(each[:, 2:]) for each in (preview.yaw_rate, preview.heading))
-        inner_preview = Preview(yaw_rate, heading, preview.wheel)
+        inner_preview = dataclasses.replace(preview, yaw_rate=yaw_rate, heading=heading)
         delta, state, status = self.inner.step(t, x, inner_preview, delta_prev.copy(), state)
         delta, status = np.asarray(delta, dtype=np.float64), np.array(status, dtype=np.int8)
         if delta.shape != lower.shape or status.shape != lower.shape:

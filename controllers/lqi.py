@@ -5,6 +5,7 @@ trigger, z_0 = 0 and z_(k+1) = z_k + dt e_y(k), and (x_ss, delta_ss) is steady c
 yaw rate. (K, K_i) minimises the sum of the LQR's cost and q_i z^2 over the sampled plant with z as a fifth state.
 Source: G. Franklin, J. Powell, M. Workman, *Digital Control of Dynamic Systems*, 3rd ed. (1998), sections 8.5 (integral
 control) and 9.3 (the steady-state optimum); the principle is E. J. Davison's servo compensator (IEEE TAC 21(1), 1976).
+With `conditioned`, z_(k+1) = z_k at samples where the assist yields (`Preview.yielding`): conditional integration.
 """
 
 import dataclasses
@@ -35,7 +36,10 @@ class LQI(StateWeights):
         0.05, unit="1/(m s)^2", lower=1e-6, upper=1e6, scale="log", description="weight on (integral of e_y)^2"
     )
     r_delta: float = gain(20_000.0, unit="1/rad^2", lower=1e-3, upper=1e6, scale="log", description="weight on delta^2")
+    conditioned: bool = gain(False, unit="1", description="stop the integral while the assist yields")
 
     def prepare(self, plant: Plant) -> LinearLaw:
         """Schedule both gains and the feedforward over the scenarios' speeds."""
-        return linear_law(plant, feedback(plant, self.q, self.r_delta, self.q_i), integral=True)
+        return linear_law(
+            plant, feedback(plant, self.q, self.r_delta, self.q_i), integral=True, conditioned=self.conditioned
+        )

@@ -4,7 +4,7 @@ With e_p = e_y + T_lp v (e_psi - e_psi_ss psi_l'), the offset that the vehicle w
 straight lane, and its rate e_p' = de_y/dt + T_lp v de_psi/dt,
 
     u = K_p e_p + I + K_d e_p' + delta_ss psi_l',    delta = u clipped to +-delta_max,
-    dI/dt = K_i e_p + (delta - u)/T_t.
+    dI/dt = K_i e_p + (delta - u)/T_t, with `conditioned` without K_i e_p while the assist yields.
 
 (e_psi_ss, delta_ss) is steady cornering with e_y = 0 per unit of lane yaw rate psi_l' (Rajamani, *Vehicle Dynamics and
 Control*, 2nd ed., section 3.2), so a bend of constant curvature leaves no offset on the nominal vehicle, and the
@@ -47,6 +47,7 @@ class PID(Controller):
     T_lp: float = gain(1.5, unit="s", lower=0.0, upper=10.0, description="preview time")
     T_t: float = gain(1.0, unit="s", lower=1e-3, upper=1e3, scale="log", description="tracking time against windup")
     delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
+    conditioned: bool = gain(False, unit="1", description="stop the integral of the offset while the assist yields")
 
     def prepare(self, plant: Plant) -> PIDLaw:
         """Take steady cornering and the preview distance at every scenario's speed."""
@@ -93,5 +94,6 @@ class PIDLaw(SteeringLaw):
         u = d.K_p * e_p + state + d.K_d * e_p_rate + self.delta_ss * r
         delta = np.clip(u, -d.delta_max, d.delta_max)
         share = -math.expm1(-self.dt / d.T_t)
-        integral = state + self.dt * d.K_i * e_p + share * (delta - u)
+        change = self.dt * d.K_i * e_p
+        integral = state + (preview.conditioned(change) if d.conditioned else change) + share * (delta - u)
         return delta, integral, np.full(delta.size, EventStatus.OK, dtype=np.int8)

@@ -92,7 +92,7 @@ def in_time(plant: Plant) -> tuple[FloatArray, FloatArray, FloatArray, FloatArra
     return dataclasses.replace(plant.augmented, whole=0).with_commands()
 
 
-def linear_law(plant: Plant, K: FloatArray, *, integral: bool = False) -> LinearLaw:
+def linear_law(plant: Plant, K: FloatArray, *, integral: bool = False, conditioned: bool = False) -> LinearLaw:
     """The law delta = delta_ss psi_l' - K (s - s_ss psi_l'), s that of `in_time` when the command acts, and z.
 
     s is predicted from the state that is seen, the wheel angle there and the commands on their way, for a bend that
@@ -123,6 +123,7 @@ def linear_law(plant: Plant, K: FloatArray, *, integral: bool = False) -> Linear
         f_i=-K[:, k] if integral else None,
         f_past=past[:, 1:] if step.past > 1 else None,
         f_wheel=f_wheel,
+        conditioned=conditioned,
     )
 
 

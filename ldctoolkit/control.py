@@ -104,6 +104,10 @@ class Preview:
     # where the plant has neither a driver nor a limit of the angle
     yielding: BoolArray | None = None
 
+    def conditioned(self, change: FloatArray) -> FloatArray:
+        """The change (n,) of an integral over the sample, 0 where the assist yields: it does not wind up there."""
+        return change if self.yielding is None else np.where(self.yielding, 0.0, change)
+
 
 @final
 @dataclasses.dataclass(frozen=True)
@@ -137,6 +141,7 @@ class LinearLaw(CheckedArguments):
     # (n,) [rad/rad] Weight of the steering angle of the wheels, as measured at the moment of the state that the law
     # sees: now, or `Plant.age` ago where the design knows the camera's delay
     f_wheel: FloatArray | None = None
+    conditioned: bool = False  # z stays what it is at samples where the assist yields: `Preview.yielding`
 
     def __post_init__(self) -> None:
         lookahead = np.shape(self.preview_times)
@@ -494,12 +499,15 @@ class LinearSteps(SteeringLaw):
                 delta += law.f_past[:, j] * past[:, j]
         if self.held:
             past = np.column_stack([delta_prev, past[:, :-1]])
-        return delta, (z + self.dt * x[:, 0], past, angle), np.full(delta.size, EventStatus.OK, dtype=np.int8)
+        change = self.dt * x[:, 0]
+        z = z + (preview.conditioned(change) if law.conditioned else change)
+        return delta, (z, past, angle), np.full(delta.size, EventStatus.OK, dtype=np.int8)
 
     def take(self, rows: IntArray, state: State) -> tuple[LinearSteps, State]:
         """The law and its state for the scenarios `rows`."""
         law, (z, past, angle) = self.law, state
-        arrays = {name: value for name, value in vars(law).items() if name != "preview_times" and value is not None}
-        law_of_rows = dataclasses.replace(law, **{name: value[rows] for name, value in arrays.items()})
+        columns = [(name, value) for name, value in vars(law).items() if isinstance(value, np.ndarray)]
+        of_rows: dict[str, Any] = {name: value[rows] for name, value in columns if name != "preview_times"}
+        law_of_rows = dataclasses.replace(law, **of_rows)
         state_of_rows = z[rows], None if past is None else past[rows], angle[rows]
         return dataclasses.replace(self, law=law_of_rows, wheel=self.wheel[rows]), state_of_rows

@@ -76,6 +76,8 @@ def check_law(law: object, n: int, name: str) -> Law:
             value = getattr(law, field.name)
             if field.name in shapes and not (value is None and field.default is None):
                 _check_array(value, f"{where}: {field.name}", shapes[field.name])
+        if not isinstance(law.conditioned, bool):
+            raise InputError(f"{where}: conditioned", _described(law.conditioned), allowed="True or False")
     return law
 
 

@@ -14,7 +14,7 @@ from ldctoolkit.declared import GainValue, check_declared, checked_number, decla
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller
 from ldctoolkit.plant_options import Actuator, PlantOptions
-from ldctoolkit.review.law_model import KINK, LARGER, PULSE, LinearView, linear_view
+from ldctoolkit.review.law_model import KINK, LARGER, PULSE, LinearView, held_wheels, linear_view
 from ldctoolkit.review.loop_numbers import BEND_ERROR, MISMATCH, LoopNumbers, loop_numbers
 from ldctoolkit.setup import PlantKnowledge, Setup
 from ldctoolkit.vehicle import BicycleModel, Plant
@@ -363,6 +363,7 @@ def plant_notes(options: PlantOptions) -> Iterator[Finding]:
         ),
         "the camera's period but for the age that it adds on average": sensors.period > 0,
         "residuals": not options.residuals.ideal,
+        "the driver's intent and override": not options.driver.ideal,
     }
     left_out = [text for text, holds in words.items() if holds]
     if left_out:
@@ -429,6 +430,8 @@ class Review:
     # None for a design that leaves the recorded path alone, or has a law without a linear part at straight driving
     loop: LoopNumbers | None
     findings: tuple[Finding, ...]  # Faults first
+    # The loop with arms on the wheel, by their name: relaxed and tensed; nothing without a driver
+    held: tuple[tuple[str, LoopNumbers], ...] = ()
 
     @property
     def faults(self) -> tuple[Finding, ...]:
@@ -499,10 +502,17 @@ def review(
         return Review(*identity, dt, None, (Finding("note", "recorded_path", sentence),))
     findings = list(law_findings(controller, view, v))
     bend = np.minimum(a_y / v, v / TIGHTEST)
-    numbers = None
+    numbers, held = None, []
     if view.finite.all() and not (view.kink > KINK).any():
         numbers = loop_numbers(controller, view, plant, options, bend)
         findings += loop_findings(numbers, controller, dt, thresholds)
+        for arms, system in held_wheels(options.driver):
+            held.append((arms, loop_numbers(controller, view, plant, options, bend, system)))
+            known = {(finding.name.removesuffix("_held"), finding.severity) for finding in findings}
+            for finding in loop_findings(held[-1][1], controller, dt, thresholds):
+                if not known & {(finding.name, finding.severity), (finding.name, "fault")}:
+                    text = f"With {arms}, {finding.sentence[0].lower()}{finding.sentence[1:]}"
+                    findings.append(dataclasses.replace(finding, name=f"{finding.name}_held", sentence=text))
     steady = plant.steady_state().delta * bend
     i = int(np.argmax(np.abs(steady)))
     at_trigger = _angles((steady[i], v[i]) if delta_prev is None else delta_prev)
@@ -510,7 +520,8 @@ def review(
     findings += limit_findings(controller, options.actuator, v, dt, steady, bend * v, at_trigger, e_y_trigger)
     findings += plant_notes(options)
     order = {"fault": 0, "warning": 1, "note": 2}
-    return Review(*identity, dt, numbers, tuple(sorted(findings, key=lambda finding: order[finding.severity])))
+    findings.sort(key=lambda finding: order[finding.severity])
+    return Review(*identity, dt, numbers, tuple(findings), tuple(held))
 
 
 def without_review(controller: Controller, dt: float, error: LdcError) -> Review:

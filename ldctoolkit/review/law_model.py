@@ -26,7 +26,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import Controller, LinearLaw, Preview, RecordedPath, SteeringLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import check_law, check_step, raised
-from ldctoolkit.plant_options import Actuator
+from ldctoolkit.plant_options import Actuator, Driver
 from ldctoolkit.vehicle import Plant
 from ldctoolkit.vehicle.discretization import AugmentedStep, augmented
 
@@ -67,16 +67,45 @@ class Camera:
     step: AugmentedStep  # One sample of the filter's nominal vehicle and actuator, n = 1
 
 
-def sampled_vehicle(A: FloatArray, B: FloatArray, E: FloatArray, dt: float, actuator: Actuator) -> System:
+def held_wheels(driver: Driver) -> tuple[tuple[str, System], ...]:
+    """Arms at both ends of their range, from the actuator's angle to that of the wheels, in continuous time.
+
+    Around the angle that the driver means, the assist active and below its limit. Where arms do not touch the wheel, or
+    leave nothing to the assist, there is no such loop.
+    """
+    arms, zero, d = [], np.zeros((1, 1)), driver
+    for end in () if d.ideal else d.grip if d.model == "grip" else d.stiffness:
+        if d.model == "arms":
+            J, b = d.wheel_inertia + d.inertia, d.wheel_damping + d.assist_damping + d.damping
+            A = np.array([[0.0, 1.0], [-(d.assist_stiffness + end) / J, -b / J]])
+            B, C = np.array([[0.0], [d.assist_stiffness / J]]), np.array([[1.0, 0.0]])
+            arms.append((f"(k = {end:g} N m/rad)", System(A, B, C, zero)))
+        elif 0.0 < end < 1.0:
+            rate = np.array([[1.0 / (end * d.arm_lag)]])
+            arms.append((f"(g = {end:g})", System(-rate, (1.0 - end) * rate, np.eye(1), zero)))
+    names = ["arms"] if len(dict(arms)) < 2 else ["arms relaxed", "arms tensed"]
+    return tuple((f"{name} {size}", system) for name, (size, system) in zip(names, arms, strict=False))
+
+
+def sampled_vehicle(
+    A: FloatArray, B: FloatArray, E: FloatArray, dt: float, actuator: Actuator, arms: System | None = None
+) -> System:
     """Vehicle behind its actuator, sampled: inputs (command, lane yaw rate), outputs x and the wheel angle."""
+    if arms is not None:
+        k, E = len(arms.A), np.append(E, np.zeros(len(arms.A)))
+        A = np.block([[A, np.outer(B, arms.C[0])], [np.zeros((k, 4)), arms.A]])
+        B = np.append(np.zeros(4), arms.B[:, 0])
     step = augmented(A[None], B[None], E[None], dt, lag=actuator.lag, delay=actuator.delay)
-    if actuator.lag == 0:  # the wheel stands where the last command that arrived has put it
+    if actuator.lag == 0 and arms is None:  # the wheel stands where the last command that arrived has put it
         young, old, E_0, E_1 = (np.pad(w, ((0, 0), (0, 1))) for w in (step.B, step.B_old, step.E_0, step.E_1))
         young[:, 4] = 1.0
         inside = np.pad(step.A, ((0, 0), (0, 1), (0, 1)))
         step = AugmentedStep(inside, young, old, E_0, E_1, step.whole, step.split)
     full, command, E_0, E_1 = (matrix[0] for matrix in step.with_commands())
-    return System(full, np.stack([command, E_0 + E_1], axis=1), np.eye(5, full.shape[0]), np.zeros((5, 2)))
+    seen = np.eye(5, full.shape[0])
+    if arms is not None:
+        seen[4, 4 : 4 + len(arms.A)] = arms.C[0]
+    return System(full, np.stack([command, E_0 + E_1], axis=1), seen, np.zeros((5, 2)))
 
 
 def controller_side(law: LawModel, camera: Camera) -> System:

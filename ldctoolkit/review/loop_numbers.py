@@ -99,7 +99,9 @@ def margins(open_loop: System, dt: float) -> Margins:
     )
 
 
-def bandwidth(A: FloatArray, B: FloatArray, lag: float, controller: System, dt: float) -> float:
+def bandwidth(
+    A: FloatArray, B: FloatArray, lag: float, controller: System, dt: float, arms: System | None = None
+) -> float:
     """Highest frequency [rad/s] at which the loop's gain is 1 before it is sampled; 0 where it is below 1."""
     nyquist = math.pi / dt
     omega = np.geomspace(min(_LOWEST, 1e-3 * nyquist), _BEYOND * nyquist, 2 * _FREQUENCIES)
@@ -107,6 +109,7 @@ def bandwidth(A: FloatArray, B: FloatArray, lag: float, controller: System, dt: 
     # beyond the Nyquist frequency a sampled law repeats itself
     K = controller.response(np.exp(1j * np.minimum(omega, nyquist) * dt))[:, 0, :5]
     gain = np.abs(np.einsum("mi,mi->m", K[:, :4], x) + K[:, 4]) / np.abs(1.0 + 1j * omega * lag)
+    gain *= 1.0 if arms is None else np.abs(arms.response(np.asarray(1j * omega, dtype=np.complex128))[:, 0, 0])
     above = np.flatnonzero(gain >= 1.0)
     if not above.size:
         return 0.0
@@ -218,9 +221,10 @@ class LoopNumbers:
 
 
 def loop_numbers(
-    controller: Controller, view: LinearView, plant: Plant, options: PlantOptions, bend: FloatArray
-) -> LoopNumbers:
-    """The numbers of the loop at every speed of a plant."""
+    controller: Controller, view: LinearView, plant: Plant, options: PlantOptions, bend: FloatArray,
+    arms: System | None = None,
+) -> LoopNumbers:  # fmt: skip
+    """The numbers of the loop at every speed of a plant; behind `arms` without those of bends and the Hessian."""
     dt, actuator = plant.dt, options.actuator
     A, B, E = plant.model.matrices(plant.v)
     cameras = _cameras(plant, options)
@@ -232,16 +236,19 @@ def loop_numbers(
     inputs = np.zeros((2, plant.n, 7))  # in the bend: of the nominal vehicle, of the worst other one
     for i, law in enumerate(view.models):
         side = controller_side(law, cameras[i])
-        loop = Loop.of(sampled_vehicle(A[i], B[i], E[i], dt, actuator), side)
+        loop = Loop.of(sampled_vehicle(A[i], B[i], E[i], dt, actuator, arms), side)
         z, m, offsets = poles(loop.closed_A, dt), Margins(*[math.nan] * 6), [math.nan] * 2
         if z.stable:
             m = margins(loop.open, dt)
+        if z.stable and arms is None:
             worst = _worst([(a[i], b[i], e[i]) for a, b, e in mismatched], side, dt, options)
             inputs[0, i] = loop.steady() * bend[i]
             inputs[1, i] = 0.0 if worst is None else worst * bend[i]
             offsets = [inputs[0, i, 0], math.inf if worst is None else inputs[1, i, 0]]
-        rows.append([*z, *m, bandwidth(A[i], B[i], actuator.lag, side, dt), *offsets])
+        rows.append([*z, *m, bandwidth(A[i], B[i], actuator.lag, side, dt, arms), *offsets])
     stable, *columns = np.array(rows, dtype=float).T
+    if arms is not None:
+        return LoopNumbers(plant.v.copy(), bend, stable.astype(bool), *columns, *np.full((2, plant.n), math.nan))
     errors = _errors(controller, view, plant, inputs)
     for column, error in zip(columns[-2:], errors, strict=True):
         column[(error > BEND_ERROR) & np.isfinite(column)] = math.nan

@@ -533,7 +533,7 @@ def law_tables(laws: Sequence[LinearLaw], scratch: FloatArray) -> FloatArray:
         table[:, data.LAW_U] = law.f_u
         table[:, data.LAW_I] = 0.0 if law.f_i is None else law.f_i
         table[:, data.LAW_WHEEL] = 0.0 if law.f_wheel is None else law.f_wheel
-        table[:, data.LAW_CONDITIONED] = getattr(law, "conditioned", False)
+        table[:, data.LAW_CONDITIONED] = law.conditioned
         table[:, data.LAW : data.LAW + 2 * p : 2] = law.G_yaw_rate
         table[:, data.LAW + 1 : data.LAW + 2 * p : 2] = law.G_heading
         if law.f_past is not None:

@@ -62,10 +62,10 @@ class AugmentedStep:
 def augmented(A: FloatArray, B: FloatArray, E: FloatArray, dt: float, *, lag: float, delay: float) -> AugmentedStep:
     """Sample n vehicles dx/dt = A x + B wheel + E r behind their actuator."""
     if lag > 0:
-        n = B.shape[0]
-        inside, forced, bend = np.zeros((n, 5, 5)), np.zeros((n, 5)), np.zeros((n, 5))
-        inside[:, :4, :4], inside[:, :4, 4], bend[:, :4] = A, B, E
-        inside[:, 4, 4], forced[:, 4] = -1.0 / lag, 1.0 / lag
+        n, j = B.shape
+        inside, forced, bend = np.zeros((n, j + 1, j + 1)), np.zeros((n, j + 1)), np.zeros((n, j + 1))
+        inside[:, :j, :j], inside[:, :j, j], bend[:, :j] = A, B, E
+        inside[:, j, j], forced[:, j] = -1.0 / lag, 1.0 / lag
         A, B, E = inside, forced, bend
     whole = math.floor(delay / dt + _WHOLE)
     part = delay - whole * dt

@@ -215,16 +215,10 @@ UNITS: Final = {name: unit for unit, names in _OF_UNIT.items() for name in names
 """Number of a loop -> unit at the end of its column; one that is not here is a pure number."""
 
 
-def columns(review: Review) -> dict[str, list[Any]]:
+def columns(loop: LoopNumbers | None) -> dict[str, list[Any]]:
     """Numbers of a loop by column, units in the names; empty without a loop."""
-    if review.loop is None:
-        return {}
-    return {
-        f"{field.name}_{UNITS[field.name]}" if field.name in UNITS else field.name: getattr(
-            review.loop, field.name
-        ).tolist()
-        for field in dataclasses.fields(review.loop)
-    }
+    numbers = {} if loop is None else vars(loop)
+    return {f"{name}_{UNITS[name]}" if name in UNITS else name: values.tolist() for name, values in numbers.items()}
 
 
 def to_json(reviews: Sequence[tuple[str, tuple[str, ...], Review]]) -> str:
@@ -237,7 +231,8 @@ def to_json(reviews: Sequence[tuple[str, tuple[str, ...], Review]]) -> str:
             "gains": dict(review.gains),
             "dt_s": review.dt,
             "findings": [dataclasses.asdict(finding) for finding in review.findings],
-            "loop": columns(review),
+            "loop": columns(review.loop),
+            "held": {arms: columns(loop) for arms, loop in review.held},
         }
         for label, ids, review in reviews
     ]
@@ -334,6 +329,8 @@ def run(args: argparse.Namespace) -> int:
         print(label)
     else:
         print_table(_of_speeds(label, first.loop, first.dt))
+        if first.held:
+            print_table(_of_designs(reviewed))
     for label, _, review in reviewed:
         if len(reviewed) > 1:
             print(f"\n{label}")
@@ -363,7 +360,7 @@ _COLUMNS: Final = {
 }
 """Number of a loop -> its column and the factor to the column's unit."""
 
-_WORST: Final = ("gain_margin", "phase_margin", "disk_margin", "e_y_bend", "e_y_bend_mismatched")
+_WORST: Final = ("gain_margin", "phase_margin", "disk_margin", "damping", "e_y_bend", "e_y_bend_mismatched")
 """What is reported of a design among others, at its worst speed."""
 
 
@@ -376,18 +373,19 @@ def _of_speeds(label: str, loop: LoopNumbers, dt: float) -> Table:
 
 
 def _of_designs(reviewed: Reviewed) -> Table:
-    """One row a design, the worst of all speeds."""
+    """One row a design, and those of arms on the wheel below it: the worst of all speeds."""
     columns = [Column("design", text=True), *(_COLUMNS[name][0] for name in _WORST), Column("faults"),
                Column("warnings")]  # fmt: skip
     rows = []
     for label, _, review in reviewed:
-        loop, cells = review.loop, [math.nan] * len(_WORST)
-        if loop is not None and loop.stable.all():
-            cells = [_COLUMNS[name][1] * _worst_value(getattr(loop, name), name) for name in _WORST]
-        unstable = loop is not None and not loop.stable.all()
         warnings = sum(finding.severity == "warning" for finding in review.findings)
-        first = "unstable" if unstable else cells[0]
-        rows.append(Row([label, first, *cells[1:], len(review.faults), warnings]))
+        for name, loop in ((label, review.loop), *review.held):
+            cells: list[Any] = [math.nan] * len(_WORST)
+            if loop is not None and loop.stable.all():
+                cells = [_COLUMNS[key][1] * _worst_value(getattr(loop, key), key) for key in _WORST]
+            elif loop is not None:
+                cells[0] = "unstable"
+            rows.append(Row([name, *cells, *((len(review.faults), warnings) if loop is review.loop else (None, None))]))
     return Table("worst of all speeds", columns, rows)
 
 
@@ -395,4 +393,4 @@ def _worst_value(values: FloatArray, name: str) -> float:
     known = values[~np.isnan(values)]
     if not known.size:
         return math.nan
-    return float(known.min() if name.endswith("margin") else abs(known).max())
+    return float(known.min() if name.endswith(("margin", "damping")) else abs(known).max())

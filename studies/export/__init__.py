@@ -116,7 +116,7 @@ def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequenc
     sizes = [(name, size) for name, size, kind in code.inputs if kind == "ldc_real"]
     sources = sources_of(texts)
     values = {
-        "sources": sources,
+        "sources": sources, "driver": code.driver,
         "guid": f"{{{uuid.uuid5(uuid.NAMESPACE_OID, texts[SOURCE] + texts[HEADER])}}}",
         "reals": [f"{name}[{i + 1}]" if size else name for name, size in sizes for i in range(max(size, 1))],
         "whole": [name for name, _, kind in code.inputs if kind == "int32_t"], "fields": code.inputs,

@@ -69,6 +69,8 @@ _MEANING: Final = {
     "heading": "[rad] change of the lane's heading from now until then",
     "frame_e_y": "[m] offset in the latest frame of the camera; the state above only starts the filter",
     "frame_e_psi": "[rad] heading in that frame", "frame_new": "1 if no earlier step had this frame",
+    "driver_torque": "[N m] of the driver at the steering wheel, positive to the left",
+    "assist_saturated": "1 if the torque of the assist was at its limit at the last sample",
     "engage": "1: steer if a departure requires it; 0: hand over",
 }  # fmt: skip
 
@@ -108,6 +110,20 @@ class Code:
         return self.setup.options.sensors.kalman is not None
 
     @property
+    def driver(self) -> dict[str, Any] | None:
+        """When the assist yields to the driver, in samples; None where nobody holds the wheel."""
+        driver, dt = self.setup.options.driver, self.setup.dt
+        if driver.ideal:
+            return None
+        over, calm = (max(1, math.ceil((t - 1e-9) / dt)) for t in (driver.override_time, driver.return_after))
+        back = f"and comes back after {driver.return_after:g} s without it" if driver.return_after else "for good"
+        text = f"more than {driver.override_torque:g} N m for {driver.override_time:g} s overrides the assist, which"
+        return {
+            "torque": c_number(driver.override_torque), "share": c_number(dt / max(driver.ramp, dt)), "over": over,
+            "calm": calm if driver.return_after else "INT32_MAX", "text": f"{text} leaves in {driver.ramp:g} s, {back}",
+        }  # fmt: skip
+
+    @property
     def inputs(self) -> tuple[Field, ...]:
         """Fields of the struct ``ldc_inputs``."""
         form, real = self.schedule.form, "ldc_real"
@@ -117,6 +133,8 @@ class Code:
         if self.filtered:
             fields += [(name, 0, real) for name in ("frame_e_y", "frame_e_psi", "curvature_seen")]
             fields += [("frame_new", 0, "int32_t")]
+        fields += [("driver_torque", 0, real)] if self.driver else []
+        fields += [("assist_saturated", 0, "int32_t")] if self.driver and form.conditioned else []
         return (*fields, ("engage", 0, "int32_t"))
 
     @functools.cached_property
@@ -148,6 +166,7 @@ class Code:
         texts = [f"{name} = {limit:g}" for name, limit in limits.items() if limit is not None]
         yield f"limits of that actuator [rad, rad/s]: {', '.join(texts) or 'none'}"
         yield f"age of the state that it sees: {self.age:g} s" + (", behind a Kalman filter" if self.filtered else "")
+        yield from [f"driver: {self.driver['text']}"] if self.driver else []
         yield "gains are those of the speed at the departure and stay until ldc_step hands over"
         terms, k = self.schedule.coefficients.shape
         yield f"tables: {k} gains, {terms} Chebyshev terms over log v from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s"
@@ -169,7 +188,9 @@ class Code:
         """Every file by its name; the header has the hashes of all, of itself with zeros in the place of its own."""
         form, sizes, ahead = self.schedule.form, self.schedule.sizes, self.setup.ahead
         known = math.floor(self.setup.plant([20.0]).delay / self.setup.dt + 1e-9)
-        times_text = ", ".join(f"{t:g}" for t in form.times.round(9))
+        actuator, times_text = self.setup.options.actuator, ", ".join(f"{t:g}" for t in form.times.round(9))
+        yields = form.conditioned and (self.driver is not None or actuator.delta_max is not None)
+        whole = math.floor(actuator.delay / self.setup.dt + 1e-9) if actuator.delta_max is not None else 0
         offsets = np.cumsum([0, *sizes.values()]).tolist()
         values: dict[str, Any] = {
             "title": _plain(self.label), "version": __version__, "id": self.design.id, "fields": self.inputs,
@@ -190,8 +211,9 @@ class Code:
             "numbers": sum(max(size, 1) for _, size, _ in self.inputs),
             "columns": offsets[-1], "span": repr(math.log(SPEED_RANGE[1] / SPEED_RANGE[0])),
             "barrier": c_number(form.barrier) if form.barrier else "", "ahead": c_number(ahead) if ahead else "",
-            "filter": {"known": known} if self.filtered else None,
-            "sent": max(form.sent, known + 2 if self.filtered else 1),
+            "filter": {"known": known} if self.filtered else None, "driver": self.driver,
+            "sent": max(form.sent, known + 2 if self.filtered else 1, whole + 1 if yields else 1), "whole": whole,
+            "yields": yields, "delta_max": "" if actuator.delta_max is None else c_number(actuator.delta_max),
             "sources": " ".join([SOURCE, *[PREDICTIONS] * bool(form.functions)]),
             "clips": form.law != "linear" or form.barrier > 0.0,
             "dots": form.law not in ("pid", "stanley") or form.barrier > 0.0 or self.filtered,

@@ -66,6 +66,7 @@ class LawForm:
     mpc: dict[str, Any] | None = None  # Sizes of a linear MPC
     sqp: dict[str, Any] | None = None  # Sizes and tables of another predictive controller
     functions: tuple[Any, ...] = ()  # Its CasADi functions
+    conditioned: bool = False  # It has an integral that stops while the assist yields
 
 
 def law_form(law: object, dt: float, name: str) -> LawForm:
@@ -83,7 +84,8 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
         if not times.size:  # C has no empty arrays: a look at the lane that weighs nothing
             gains["G_yaw_rate"], times = np.zeros((law.F.shape[0], 1)), np.zeros(1)
             gains.pop("G_heading")
-        return LawForm("linear", gains, times, sent=1 + (0 if law.f_past is None else law.f_past.shape[1]))
+        sent, stops = 1 + (0 if law.f_past is None else law.f_past.shape[1]), law.conditioned and law.f_i is not None
+        return LawForm("linear", gains, times, sent=sent, conditioned=stops)
     if isinstance(law, barrier_filter.BarrierLaw):
         inner = law_form(law.inner, dt, law.inner_name)
         gains = {"centre": law.centre, "half_width": _wide(law.half_width)} | inner.gains
@@ -105,7 +107,8 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
             section, names = "pure_pursuit", []
             constants |= {"L": law.L, "l_r": law.l_r, "step": law.preview_times[1]}
         gains = {key: _wide(getattr(law, key)) for key in names}
-        return LawForm(section, gains, law.preview_times, constants, sent=2, heading=section == "pure_pursuit")
+        heading, stops = section == "pure_pursuit", bool(constants.get("conditioned"))
+        return LawForm(section, gains, law.preview_times, constants, sent=2, heading=heading, conditioned=stops)
     what = "never steers" if isinstance(law, RecordedPath) else f"prepares a {type(law).__name__}, which has no C code"
     allowed = "a law that prepares a LinearLaw, pid, stanley, pure_pursuit, sliding_mode, barrier_filter, an MPC"
     raise InputError("law", f"cannot be exported, it {what}", value=name, allowed=allowed)

@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.control import Controller, EventStatus, LinearLaw, LinearSteps, Preview, StatusArray, SteeringLaw
+from ldctoolkit.control import AssistState, Controller, EventStatus, LinearLaw, LinearSteps, Preview, SteeringLaw
 from ldctoolkit.controllers import external
 from ldctoolkit.errors import InputError
 from ldctoolkit.scenarios import Scenarios
-from ldctoolkit.simulation import Takeover, drive
+from ldctoolkit.simulation import Outcome, Takeover, drive
 from ldctoolkit.surroundings import temporary_folder
 from ldctoolkit.vehicle.bicycle import Plant
 
@@ -55,18 +55,20 @@ class Check:
     size: int  # [bytes] Code and constants
     state: int  # [bytes] Of an instance
     bounds: tuple[float, float]  # [rad]
+    assist: int | None = None  # Other states and authorities, of both precisions; None without a driver
 
     @property
     def passed(self) -> bool:
         """Whether everything is within its bound."""
         double, single = self.bounds
         exact = self.delta <= double and double >= self.S and self.phases == 0 and self.failed == 0
-        return exact and self.float_delta <= single and self.float_S <= FLOAT_S
+        return exact and not self.assist and self.float_delta <= single and self.float_S <= FLOAT_S
 
     @property
     def lines(self) -> tuple[str, ...]:
         """For the terminal."""
         left_out = f", {self.diverged} that diverge or whose solver failed left out" if self.diverged else ""
+        assist = f"  driver: {self.assist} states and authorities of the assist differ, in both precisions together"
         solver = f"; solver: {self.iterations} iterations at most, failed in {self.failed} steps"
         return (
             f"in the loop: {self.scenarios} scenarios, {self.departures} departures{left_out}, {self.steps} steps: "
@@ -75,6 +77,7 @@ class Check:
             f"(bound {self.bounds[0]:g}); {self.phases} steps in another phase",
             f"  single: commands within {self.float_delta:.1e} rad (bound {self.bounds[1]:g}), S within "
             f"{self.float_S:.1e} m s (bound {FLOAT_S:g})",
+            *(() if self.assist is None else (assist,)),
             f"  a step: median {1e6 * self.median:.2f} us, longest {1e6 * self.longest:.2f} us, measured on this "
             f"machine, no worst case{solver if self.iterations else ''}",
             f"  stack {f'at most {self.stack} bytes' if self.stack else 'unknown'} (sum over functions), code and "
@@ -95,6 +98,7 @@ _OUTPUTS: Final = (
     ("delta", 0, "ldc_real"),
     *((name, 0, "int32_t") for name in ("phase", "side", "status", "iterations")),
 )
+_ASSIST: Final = {"assist_state": "int32_t", "authority": "ldc_real"}  # Only with a driver
 
 
 class Compiled:
@@ -104,7 +108,8 @@ class Compiled:
         import cffi
 
         self.code, texts = code, code.texts("")
-        self.inputs, self.outputs = (struct(fields, single=single) for fields in (code.inputs, _OUTPUTS))
+        outputs = (*_OUTPUTS, *((name, 0, kind) for name, kind in _ASSIST.items() if code.driver))
+        self.inputs, self.outputs = (struct(fields, single=single) for fields in (code.inputs, outputs))
         self.ffi = cffi.FFI()
         self.ffi.cdef("int ldc_size(int); void ldc_batch(int, void *, void *, void *, double *);")
         options = [*WARNINGS, "-D_POSIX_C_SOURCE=199309L", *(["-DLDC_USE_FLOAT"] if single else [])]
@@ -170,7 +175,7 @@ class _Commands(Controller, SteeringLaw):
 
     def step(
         self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: int
-    ) -> tuple[FloatArray, int, StatusArray]:
+    ) -> tuple[FloatArray, int, npt.NDArray[np.int8]]:
         return self.command(state, t, x, preview, delta_prev), state + 1, np.zeros(t.size, dtype=np.int8)
 
 
@@ -196,15 +201,15 @@ class _Host:
     def side(self) -> FloatArray:
         return self.over.triggered.side.astype(np.float64)
 
-    def drive(self, outward_command: Callable[[Rows, int], FloatArray]) -> FloatArray:
-        """S (n,) with commands that follow from the inputs and the number of the sample."""
+    def drive(self, outward_command: Callable[[Rows, int], FloatArray], *, paths: bool = False) -> Outcome:
+        """With commands that follow from the inputs and the number of the sample."""
 
         def command(k: int, _: FloatArray, x: FloatArray, preview: Preview, __: FloatArray) -> FloatArray:
             return outward_command(self._sample(k, x, preview), k)
 
         times = self.code.schedule.form.times
         times = np.append(times, -self.code.age) if self.code.filtered else times
-        return drive(_Commands(times, command), self.over).outcome("departure").S
+        return drive(_Commands(times, command), self.over, trajectories=paths).outcome("departure")
 
     def early(self) -> list[Rows]:
         """Some samples before the departure, on the recorded path; not engaged before that began."""
@@ -234,6 +239,11 @@ class _Host:
             sensors, dt = over.setup.options.sensors, over.setup.dt
             frames = [math.floor((j * dt - sensors.delay) / sensors.period + 1e-9) for j in (k - 1, k)]
             row["frame_new"] = k == 0 or frames[0] != frames[1]
+        if self.code.driver:
+            torque, limit = side * np.asarray(preview.torque), over.setup.options.driver.override_torque
+            row["driver_torque"] = torque * np.where(np.abs(torque) > limit, 1.0 + 1e-6, 1.0)  # in single precision too
+            if form.conditioned:
+                row["assist_saturated"] = preview.yielding  # the code itself knows the other reasons
         line, rate = x[:, 0] - over.setup.vehicle.edge_offset, x[:, 1]
         if k == 0:
             line, rate = over.driven.lateral(over.start) + _FURTHER, over.driven.lateral_rate(over.start)
@@ -257,6 +267,7 @@ class Recording:
     phase: IntArray  # (k, m)
     counts: BoolArray  # (k, m) Where the departure is still driven, and does not diverge
     S: FloatArray  # (n,) [m s] NaN where it diverges, or the toolkit's solver failed
+    assist: FloatArray  # (2, k, m) State of the assist and its authority; (0, k, m) without a driver
 
 
 def record(code: Code, scenarios: Scenarios) -> Recording:
@@ -284,14 +295,22 @@ def record(code: Code, scenarios: Scenarios) -> Recording:
         return commands[k]
 
     stepped = drive(_Commands(law.preview_times, record_command), over).outcome("departure")
-    host.drive(record_inputs)
+    paths = host.drive(record_inputs, paths=code.driver is not None).trajectories
     lost = stepped.status == EventStatus.DIVERGED
     lost[over.rows] |= np.any(failed, axis=0)
     S = np.where(lost, np.nan, drive(code.controller, over).outcome("departure").S)
     inputs, k = np.stack(rows), np.arange(-_EARLY, len(commands))[:, None]
     counts = (k < over.steps) & np.isfinite(S[over.rows]) & (inputs["engage"] != 0)
     delta = np.concatenate([inputs["wheel"][:_EARLY], host.side * np.stack(commands)])
-    return Recording(host, inputs, delta, _phases(code, inputs, host.side), counts, S)
+    assist = np.zeros((2 if paths else 0, *inputs.shape))
+    if paths:  # at the samples: without the entry at T
+        at = over.start[:, None] + code.setup.dt * np.arange(len(commands))
+        entry = np.minimum((paths.t[over.rows, None] < at[..., None] - 1e-9).sum(axis=-1), paths.t.shape[1] - 1)
+        for part, values in zip(assist, (paths.assist_state, paths.authority), strict=True):
+            part[_EARLY:] = np.take_along_axis(np.asarray(values)[over.rows], entry, axis=1).T
+        if code.schedule.form.conditioned:
+            inputs["assist_saturated"] &= (assist[0] == AssistState.ACTIVE) & (assist[1] == 1.0)
+    return Recording(host, inputs, delta, _phases(code, inputs, host.side), counts, S, assist)
 
 
 def _phases(code: Code, inputs: npt.NDArray[np.void], side: FloatArray) -> IntArray:
@@ -309,13 +328,13 @@ def vectors(recording: Recording) -> str:
     """Inputs and expected outputs of some departures of both sides, as a table for the test bench."""
     whole, side, fields = np.flatnonzero(recording.counts[_EARLY]), recording.host.side, recording.host.code.inputs
     names = [f"{name}[{j}]" if size else name for name, size, _ in fields for j in range(max(size, 1))]
-    lines = [",".join(["begins", *names, "delta", "phase"])]
+    lines = [",".join(["begins", *names, "delta", "phase", *list(_ASSIST)[: len(recording.assist)]])]
     for i in [i for sign in (1, -1) for i in whole[side[whole] == sign][: _VECTORS // 2]]:
         begins = 1
         for k in np.flatnonzero(recording.counts[:, i]):
             inputs = [x for name, _, _ in fields for x in np.atleast_1d(recording.inputs[name][k, i]).tolist()]
             row = [begins, *inputs, float(recording.delta[k, i]), int(recording.phase[k, i])]
-            lines.append(",".join(map(repr, row)))
+            lines.append(",".join(map(repr, [*row, *recording.assist[:, k, i].tolist()])))
             begins = 0
     return "\n".join(lines) + "\n"
 
@@ -324,7 +343,7 @@ def check(recording: Recording, command: Sequence[str]) -> Check:
     """Compile the code and compare: on the inputs of the recording, and steering in the loop."""
     host, counts = recording.host, recording.counts
     double, single = Compiled(host.code, command), Compiled(host.code, command, single=True)
-    seconds, worst, phases, failed, iterations = np.zeros(counts.shape), [0.0, 0.0], 0, 0, 0
+    seconds, worst, phases, failed, iterations, assist = np.zeros(counts.shape), [0.0, 0.0], 0, 0, 0, 0
     for i, compiled in enumerate((double, single)):
         state = compiled.begin(host.over.m)
         for k, driven in enumerate(counts):
@@ -332,6 +351,8 @@ def check(recording: Recording, command: Sequence[str]) -> Check:
             gap = np.abs(out["delta"] - recording.delta[k, driven]).max(initial=0.0)
             worst[i] = float(np.maximum(worst[i], gap))  # a command that is not a number stays visible
             failed += int((out["status"] & 4 != 0).sum())  # LDC_SOLVER_FAILED
+            for name, expected in zip(_ASSIST, recording.assist[:, k, driven], strict=False):
+                assist += int((~(np.abs(out[name] - expected) <= 1e-6)).sum())
             if compiled is double:
                 phase, side = recording.phase[k, driven], host.side[driven]
                 phases += int(((out["phase"] != phase) | (out["side"] != np.where(phase > 0, side, 0.0))).sum())
@@ -342,7 +363,7 @@ def check(recording: Recording, command: Sequence[str]) -> Check:
         steps=int(counts.sum()), delta=worst[0], S=S, phases=phases, failed=failed, float_delta=worst[1],
         float_S=float_S, iterations=iterations, median=float(np.median(seconds[counts])),
         longest=float(seconds[counts].max()), stack=double.stack, size=double.size, state=double.state,
-        bounds=host.code.bounds,
+        bounds=host.code.bounds, assist=assist if len(recording.assist) else None,
     )  # fmt: skip
 
 
@@ -352,5 +373,5 @@ def _score_gap(compiled: Compiled, recording: Recording) -> float:
     state = compiled.begin(host.over.m)
     for row in host.early():
         compiled.step(row, state)
-    S = host.drive(lambda row, _: host.side * compiled.step(row, state)["delta"])
+    S = host.drive(lambda row, _: host.side * compiled.step(row, state)["delta"]).S
     return float(np.abs(S - recording.S)[np.isfinite(recording.S)].max(initial=0.0))

@@ -8,11 +8,12 @@ import pytest
 
 from helpers.closed_loop import DT, Stepped, grid, moved, some, weights_of
 from helpers.errors import refused
-from ldctoolkit import BicycleModel, Plant, Scenarios, VehicleParameters, load_model, simulate
+from ldctoolkit import BicycleModel, Plant, Scenarios, Setup, VehicleParameters, load_model, simulate
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview
 from ldctoolkit.controllers import LQI, LQR, LinearMPC, PreviewLQR
 from ldctoolkit.controllers.riccati import regulator
-from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors
+from ldctoolkit.plant_options import Actuator, Driver, KalmanFilter, Mismatch, PlantOptions, Sensors
+from ldctoolkit.simulation import Takeover, drive, drive_many
 
 WEIGHTS = [
     {},
@@ -195,6 +196,29 @@ def test_errors_that_the_law_does_not_know_leave_no_bias(options: PlantOptions) 
         left[design.name] = np.abs(paths.x[np.arange(2), last, 0])
     assert (left["lqi"] < 1e-6).all()
     assert (left["lqr"] > 0.01).all()
+
+
+YIELDS = {
+    "nothing": PlantOptions(actuator=Actuator(delay=0.07)),
+    "limit": PlantOptions(actuator=Actuator(delay=0.07, delta_max=0.01)),
+    "grip": PlantOptions(actuator=Actuator(delay=0.07), driver=Driver(straight=0.5, against=0.5, return_after=0.3)),
+    "arms": PlantOptions(driver=Driver(model="arms", straight=0.5, against=0.5, return_after=0.3)),
+}
+
+
+@pytest.mark.parametrize("name", YIELDS)
+def test_the_integral_waits_in_the_compiled_loop_as_step_by_step(name: str) -> None:
+    """Also beside designs that do not wait; where nothing yields it makes no difference to the bit."""
+    plain, waiting = (LQI(q_i=0.5, r_delta=3000.0, conditioned=conditioned) for conditioned in (False, True))
+    over = Takeover.build(load_model("reference").sample(30, 30, seed=1), Setup(options=YIELDS[name], seed=1), y_s=0.1)
+    areas = []
+    for design, run in zip((plain, waiting, plain), drive_many([plain, waiting, plain], over), strict=True):
+        np.testing.assert_allclose(run.area, drive(Stepped(design), over).area, rtol=1e-9, atol=1e-12)
+        np.testing.assert_array_equal(run.area, drive(design, over).area)
+        areas.append(run.area)
+    np.testing.assert_array_equal(areas[0], areas[2])
+    assert ((areas[0] == areas[1]).all()) == (name == "nothing")
+    assert np.abs(areas[1] - areas[0]).max() > 0.1 or name == "nothing"
 
 
 DESIGNS = [

@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 from helpers.closed_loop import DT, Stepped, closed_loop_matrices, continuous_poles, moved, plant_at
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
 from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.controllers.barrier_filter import BarrierFilter, inner_design, steering_law
 from ldctoolkit.controllers.pid import PID, PIDLaw
 from ldctoolkit.controllers.sliding_mode import SlidingMode, SlidingModeLaw, conditioned, super_twisting
 
@@ -78,6 +79,33 @@ def test_two_steps_by_hand() -> None:
     assert delta[0] == -0.03
     expected = state[0] - 0.002 * e_p * DT + (1 - math.exp(-DT / 2.0)) * (-0.03 - u)
     assert after[0] == pytest.approx(expected, abs=1e-15)
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_the_integral_waits_where_the_assist_yields(filtered: bool) -> None:
+    """PID, LQI and a filter around them: no wind-up of the offset; back-calculation goes on; only on request."""
+    plant, x = plant_at(20.0, 20.0, 30.0), np.tile([0.4, 0.0, 0.001, 0.0], (3, 1))
+    yielding = np.array([True, False, True])
+    for name, gains in (("pid", "K_i=-0.002, T_t=2, delta_max=0.001"), ("lqi", "q_i=0.3")):
+        for conditions in (True, False):
+            text = f"{gains}, conditioned=true" if conditions else gains
+            filter_ = BarrierFilter(inner=name, inner_gains=text, e_y_max=9.0)
+            inner = inner_design(name, text, BarrierFilter)
+            law = steering_law(filter_ if filtered else inner, plant, "test")
+            nothing = np.zeros((3, law.preview_times.size))
+            state = law.init(3)
+            for _ in range(4):
+                _, state, _ = law.step(np.zeros(3), x, Preview(nothing, nothing, yielding=yielding), x[:, 1], state)
+            integral = state if name == "pid" else state[0]
+            expected = np.where(yielding & conditions, 0.0, 4 * DT * 0.4)
+            if name == "pid":
+                assert isinstance(inner, PID)
+                e_p, share = 0.4 + 1.5 * plant.v * 0.001, -math.expm1(-DT / 2.0)
+                expected = np.zeros(3)
+                for _ in range(4):
+                    excess = -0.006 * e_p + expected + 0.001  # of the command beyond the limit
+                    expected = expected + np.where(yielding & conditions, 0.0, DT * -0.002 * e_p) - share * excess
+            np.testing.assert_allclose(integral, expected, rtol=1e-12, atol=1e-15)
 
 
 def test_default_gains_damp_every_pole_from_10_to_40_m_per_s() -> None:

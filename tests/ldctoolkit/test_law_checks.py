@@ -251,6 +251,7 @@ BAD_LAWS = [
     (linear(f_u=0.0), "f_u", "0.0", "an array of shape (3,)"),
     (linear(f_past=np.zeros(3)), "f_past", "shape (3,)", "(3, q)"),
     (linear(f_wheel=np.zeros(2)), "f_wheel", "shape (2,)", "(3,)"),
+    (linear(conditioned=np.ones(3)), "conditioned", "an array of shape (3,)", "True or False"),
     (linear(G_heading=np.zeros((3, 1))), "G_heading", "shape (3, 1)", "(3, 2)"),
     (linear(G_yaw_rate=np.full((3, 2), "a")), "G_yaw_rate", "an array", "an array of real numbers"),
     (linear(F=np.zeros((3, 4), dtype=complex)), "F", "dtype complex128", "real numbers"),

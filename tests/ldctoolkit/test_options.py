@@ -13,7 +13,7 @@ from helpers.errors import refused
 from ldctoolkit import Scenarios, Setup, metrics, simulate
 from ldctoolkit.controllers import LQR
 from ldctoolkit.errors import InputError
-from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.plant_options import Actuator, Driver, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 
 FloatArray = npt.NDArray[np.float64]
 NAN = math.nan
@@ -196,6 +196,7 @@ def test_every_option_takes_the_ideal_away() -> None:
     changed = {
         "actuator": Actuator(lag=0.1), "mismatch": Mismatch(m=(0.9, 1.1)), "tyres": Tyres(model="magic_formula"),
         "sensors": Sensors(delay=0.1), "residuals": Residuals(v=True), "speed": "profile",
+        "driver": Driver(straight=1.0),
     }  # fmt: skip
     assert set(changed) == {field.name for field in dataclasses.fields(PlantOptions)}
     exact = {"mismatch", "sensors", "residuals"}

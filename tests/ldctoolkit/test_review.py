@@ -26,7 +26,7 @@ from ldctoolkit import (
     option,
 )
 from ldctoolkit.controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
-from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
+from ldctoolkit.plant_options import Actuator, Driver, KalmanFilter, PlantOptions, Sensors
 from ldctoolkit.review import Finding, Review, Thresholds, review
 from ldctoolkit.review.design_review import limit_of, plant_notes
 from ldctoolkit.review.law_model import System, linear_view
@@ -40,6 +40,27 @@ def named(result: Review, name: str) -> Finding:
 
 def names(result: Review) -> set[str]:
     return {finding.name for finding in result.findings if finding.severity != "note"}
+
+
+def test_what_arms_make_worse_is_found_once() -> None:
+    """Softer and later: the phase margin of a stiff LQR; where the loop was bad without arms it is not said again."""
+    given: dict[str, Any] = {"speeds": [30.0, 35.0]}
+    late = Actuator(lag=0.1, delay=0.05)
+    options = PlantOptions(actuator=late, driver=Driver(model="arms", straight=1.0))
+    alone, held = (review(LQR(r_delta=300.0), options=o, **given) for o in (PlantOptions(actuator=late), options))
+    assert (alone.held, len(held.held), "phase_margin" in names(alone)) == ((), 2, False)
+    np.testing.assert_array_equal(held.loop.phase_margin, alone.loop.phase_margin)
+    found = named(held, "phase_margin_held")
+    arms = dict(held.held)["arms relaxed (k = 10 N m/rad)"]
+    assert (found.severity, found.value) == ("warning", arms.phase_margin.min())
+    assert found.sentence.startswith("With arms relaxed (k = 10 N m/rad), at 35 m/s the loop has a phase margin of ")
+    assert math.radians(15.0) < found.value < math.radians(30.0) < alone.loop.phase_margin.min()
+    assert [f.name for f in held.findings].count("phase_margin_held") == 1
+    assert np.isnan([arms.e_y_bend, arms.e_y_bend_mismatched, arms.hessian_condition]).all()
+    assert "driver" in named(held, "left_out").sentence
+    bad = review(PreviewProportional(K_y=-0.01, K_psi=-0.3), options=options, **given)
+    assert (named(bad, "phase_margin").severity, "phase_margin_held" in names(bad)) == ("fault", False)
+    assert [named(bad, name).severity for name in ("gain_margin", "gain_margin_held")] == ["warning", "fault"]
 
 
 @pytest.mark.slow

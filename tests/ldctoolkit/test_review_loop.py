@@ -4,7 +4,9 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable
+from typing import Any
 
+import control
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -12,9 +14,18 @@ from scipy.integrate import solve_ivp
 from helpers.closed_loop import Prepared
 from ldctoolkit import BicycleModel, Controller, LinearLaw, Plant, Scenarios, simulate
 from ldctoolkit.controllers import LQR, PreviewProportional
-from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors
+from ldctoolkit.plant_options import Actuator, Driver, KalmanFilter, Mismatch, PlantOptions, Sensors
 from ldctoolkit.review import review, review_plant
-from ldctoolkit.review.law_model import Camera, LawModel, Loop, System, controller_side, linear_view, sampled_vehicle
+from ldctoolkit.review.law_model import (
+    Camera,
+    LawModel,
+    Loop,
+    System,
+    controller_side,
+    held_wheels,
+    linear_view,
+    sampled_vehicle,
+)
 from ldctoolkit.review.loop_numbers import _cameras, bandwidth, margins, poles
 
 V = 27.0
@@ -72,12 +83,15 @@ def remembering(r_delta: float) -> Controller:
     return Prepared(prepare)
 
 
-def loop_of(design: Controller, options: PlantOptions, v: float, dt: float = 0.05) -> Loop:
+def loop_of(
+    design: Controller, options: PlantOptions, v: float, dt: float = 0.05, driver: Driver | None = None
+) -> Loop:
     plant = review_plant(BicycleModel(), dt, options, [v])
     A, B, E = plant.model.matrices(plant.v)
     view = linear_view(design, plant)
     side = controller_side(view.models[0], _cameras(plant, options)[0])
-    return Loop.of(sampled_vehicle(A[0], B[0], E[0], dt, options.actuator), side)
+    arms = None if driver is None else held_wheels(driver)[0][1]
+    return Loop.of(sampled_vehicle(A[0], B[0], E[0], dt, options.actuator, arms), side)
 
 
 @pytest.mark.parametrize("kind", [LQR, remembering])
@@ -101,6 +115,83 @@ def test_the_closed_loop_of_studies_has_these_poles(name: str, kind: Callable[..
     assert np.abs(residual).max() < 2e-10 * scale
     other = np.poly(loop_of(kind(r_delta=390.0), options, V).closed_A)
     assert np.abs(np.convolve(tail, other, mode="valid")).max() > 1e-9 * scale
+
+
+GRIP = Driver(straight=1.0, grip=(0.3, 0.6), arm_lag=0.12, torque_max=100.0, override_torque=100.0)
+ARMS = Driver(
+    model="arms", straight=1.0, stiffness=(15.0, 45.0), damping=1.1, inertia=0.08, assist_stiffness=50.0,
+    assist_damping=3.0, wheel_inertia=0.07, wheel_damping=0.5, torque_max=100.0, override_torque=100.0,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("driver", [GRIP, ARMS], ids=lambda driver: driver.model)
+@pytest.mark.parametrize("actuator", [Actuator(), Actuator(lag=0.08, delay=0.07)], ids=["ideal", "late"])
+def test_the_loop_with_arms_is_that_of_studies(driver: Driver, actuator: Actuator) -> None:
+    """As above, with a driver who holds the wheel still: what he means is constant, and a factor z - 1 takes it out.
+    Tolerance: that of the steps of the column and its aligning torque."""
+    field = "grip" if driver.model == "grip" else "stiffness"
+    straight = Scenarios.from_arrays(T=[4.0], d_y=[0.5], v_mean=[V])
+    design = LQR(r_delta=3000.0)
+    lower, upper = (dataclasses.replace(driver, **{field: (end, end)}) for end in getattr(driver, field))
+    options = PlantOptions(actuator=actuator, driver=upper)
+    run = simulate(design, straight, y_s=0.2, options=options, trajectories=True, settle=2.0)
+    assert run.metrics.overridden[0] == 0
+    path = run.trajectories
+    samples = np.abs((path.t[0] - path.t[0, 0]) / 0.05 % 1.0 - 0.5) > 0.5 - 1e-6
+    e_y = path.x[0, :, 0]
+    tail = e_y[samples & np.isfinite(e_y)][8:]
+    residuals = []
+    for held in (upper, lower):
+        polynomial = np.poly(np.append(np.linalg.eigvals(loop_of(design, options, V, driver=held).closed_A), 1.0)).real
+        residual = np.convolve(tail, polynomial, mode="valid")
+        assert residual.size > 20
+        scale = np.convolve(np.abs(tail), np.abs(polynomial), mode="valid").max()
+        residuals.append(float(np.abs(residual).max() / scale))
+    assert residuals[0] < 1e-10, residuals
+    assert residuals[1] > 100 * residuals[0], residuals
+
+
+@pytest.mark.parametrize("driver", [GRIP, ARMS], ids=lambda driver: driver.model)
+@pytest.mark.parametrize("end", [0, 1])
+def test_margins_with_arms_are_those_of_python_control(driver: Driver, end: int) -> None:
+    """The chain as transfer functions, sampled and closed by python-control; tolerance: its grid of frequencies."""
+    dt, design = 0.05, PreviewProportional(K_y=-0.004, K_psi=-0.15, T_lp=2.0)
+    options = PlantOptions(actuator=Actuator(lag=0.1, delay=0.1), driver=driver)
+    name, numbers = review(design, options=options, speeds=[V]).held[end]
+    d, g, k = driver, driver.grip[end], driver.stiffness[end]
+    if driver.model == "grip":
+        arms = control.tf([1.0 - g], [g * d.arm_lag, 1.0])
+        assert name == f"arms {('relaxed', 'tensed')[end]} (g = {g:g})"
+    else:
+        damping = d.wheel_damping + d.assist_damping + d.damping
+        arms = control.tf([d.assist_stiffness], [d.wheel_inertia + d.inertia, damping, d.assist_stiffness + k])
+        assert name == f"arms {('relaxed', 'tensed')[end]} (k = {k:g} N m/rad)"
+    A, B, _ = (matrix[0] for matrix in BicycleModel().matrices([V]))
+    F = np.array([[-0.004, 0.0, -0.15, 0.0]])
+    chain = control.ss(control.tf([1.0], [0.1, 1.0]) * arms)
+    continuous = control.ss(A, B[:, None], -F, 0.0) * chain
+    L = control.sample_system(continuous, dt) * control.ss(control.tf([1.0], [1.0, 0.0, 0.0], dt))
+    omega = np.geomspace(1e-2, math.pi / dt, 20001)
+    gain, phase, *_ = control.stability_margins(control.FRD(L(np.exp(1j * omega * dt)), omega, smooth=True))
+    assert numbers.gain_margin[0] == pytest.approx(20.0 * math.log10(gain), abs=1e-3)
+    assert numbers.phase_margin[0] == pytest.approx(math.radians(phase), abs=1e-4)
+    s = np.log(control.feedback(L, 1).poles().astype(complex)) / dt
+    s = s[np.abs(np.exp(s * dt)) >= 0.5]
+    assert numbers.damping[0] == pytest.approx((-s.real / np.abs(s)).min(), rel=1e-6)
+    assert numbers.slowest[0] == pytest.approx((-1.0 / s.real).max(), rel=1e-6)
+    size = np.abs(continuous(1j * omega))
+    assert numbers.bandwidth[0] == pytest.approx(omega[np.flatnonzero(size >= 1.0)[-1]], rel=2e-3)
+
+
+def test_arms_that_leave_nothing_or_all_to_the_assist_have_no_loop() -> None:
+    def arms(**given: Any) -> list[str]:
+        return [name for name, _ in held_wheels(Driver(**given))]
+
+    assert arms() == arms(recorded=1.0, grip=(1.0, 1.0)) == arms(recorded=1.0, grip=(0.0, 0.0)) == []
+    assert arms(recorded=1.0, grip=(0.0, 0.3)) == arms(recorded=1.0, grip=(0.3, 0.3)) == ["arms (g = 0.3)"]
+    assert arms(recorded=1.0, model="arms", stiffness=(0.0, 40.0)) == [
+        "arms relaxed (k = 0 N m/rad)", "arms tensed (k = 40 N m/rad)"
+    ]  # fmt: skip
 
 
 def integrator(k: float, h: float) -> System:

@@ -297,27 +297,36 @@ def test_words_and_switches_round_trip() -> None:
     assert contract_faults(controller, [design], checks=["declared", "frozen", "bounds", "toml", "extremes"]) == ()
 
 
-def test_a_linear_law_is_called_by_its_formula() -> None:
+@pytest.mark.parametrize("conditioned", [False, True])
+def test_a_linear_law_is_called_by_its_formula(conditioned: bool) -> None:
     rng = np.random.default_rng(1)
     n, p = 5, 3
     plant = Plant.build(BicycleModel(), np.full(n, 20.0), 0.05, lag=0.1, delay=0.07)
     linear = LinearLaw(
         F=rng.normal(size=(n, 4)), preview_times=np.arange(p) * 0.1, G_yaw_rate=rng.normal(size=(n, p)),
         G_heading=rng.normal(size=(n, p)), f_u=rng.normal(size=n), f_i=rng.normal(size=n),
-        f_past=rng.normal(size=(n, 2)), f_wheel=rng.normal(size=n),
+        f_past=rng.normal(size=(n, 2)), f_wheel=rng.normal(size=n), conditioned=conditioned,
     )  # fmt: skip
     called, x, last = LinearSteps.of(linear, plant), rng.normal(size=(3, n, 4)), rng.normal(size=(3, n))
     preview = Preview(rng.normal(size=(n, p)), rng.normal(size=(n, p)))
+    yielding = np.array([[True, False, True, False, False], [True, True, False, False, True]])  # at the first two
     state = called.init(n)
     for k in range(3):
-        delta, state, _ = called.step(np.zeros(n), x[k], preview, last[k], state)
+        shown = preview if k == 2 else dataclasses.replace(preview, yielding=yielding[k])
+        delta, state, _ = called.step(np.zeros(n), x[k], shown, last[k], state)
+        if k == 1:
+            some, of_some = called.take(np.array([1, 3]), state)
+            part = Preview(preview.yaw_rate[[1, 3]], preview.heading[[1, 3]])
+            taken = some.step(np.zeros(2), x[2][[1, 3]], part, last[2][[1, 3]], of_some)[0]
+            assert some.law.conditioned is conditioned
     a = math.exp(-0.03 / 0.1)  # the last 0.03 s of a sample are those of the younger of two commands
     for i in range(n):
-        z = 0.05 * (x[0, i, 0] + x[1, i, 0])
+        z = 0.05 * sum(x[k, i, 0] for k in range(2) if not (conditioned and yielding[k, i]))
         wheel = a * last[0, i] + (1 - a) * last[1, i]  # before the first command the wheel stood at it
         expected = linear.F[i] @ x[2, i] + linear.f_u[i] * last[2, i] + linear.f_i[i] * z + linear.f_wheel[i] * wheel
         expected += linear.G_yaw_rate[i] @ preview.yaw_rate[i] + linear.G_heading[i] @ preview.heading[i]
         assert delta[i] == pytest.approx(expected + linear.f_past[i] @ [last[1, i], last[0, i]], rel=1e-12)
+    np.testing.assert_array_equal(taken, delta[[1, 3]])
 
 
 def test_the_lane_that_laws_are_shown_is_one_lane() -> None:

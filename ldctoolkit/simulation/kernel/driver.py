@@ -69,7 +69,7 @@ def _recorded_motion(setting, w, motion, block):
 @numba.njit(forceinline=True, **OPTIONS)
 def _angle_of_force(w, l, force, shape, slip):
     """Slip angle of a front tyre with this force over the mass, by two of Newton's steps from an angle nearby."""
-    share = min(max(force / w[data.GRIP_F + l], -_MOST), _MOST)
+    share = force / w[data.GRIP_F + l]
     for _ in range(2):
         stiff = w[data.STIFFNESS_F + l] * slip
         angle = shape * arctan(stiff)
@@ -99,7 +99,8 @@ def _steer_along(setting, w):
             slip_rear = arctan(fma(w[data.AXLE_R + l], omega, -across) * per_v)
             rear = w[data.GRIP_R + l] * sine(shape * arctan(w[data.STIFFNESS_R + l] * slip_rear))
             a_y = (bend - fma(dv, sin_psi, turn * fma(v, cos_psi, -across * sin_psi))) / cos_psi + v * omega
-            front = a_y - rear
+            most = _MOST * w[data.GRIP_F + l] * cosine(delta)  # beyond it the path is not driven
+            front = min(max(a_y - rear, -most), most)
             slip = _angle_of_force(w, l, front / cosine(delta), shape, w[data.TWIN_SLIP + l])
             w[data.TWIN_SLIP + l] = slip
             delta = slip + arctan(fma(w[data.AXLE_F + l], omega, across) * per_v)
@@ -202,7 +203,8 @@ def begin_sample(setting, w, k, intended, to):
         gives = _RELAXED - 1.0 if intent == _FOLLOWS else 0.0
         w[data.TENSE_START + l], w[data.TENSE_END + l] = fma(gives, late, 1.0), fma(gives, later, 1.0)
         authority = w[data.AUTHORITY + l]
-        end = min(authority + ramp, 1.0) if w[data.ASSIST_STATE + l] == ACTIVE else max(authority - ramp, 0.0)
+        end = authority + (ramp if w[data.ASSIST_STATE + l] == ACTIVE else -ramp)
+        end = 1.0 if end > 1.0 - SAME else (end if end > SAME else 0.0)  # whole ramps, whatever their rounding
         w[data.AUTHORITY_START + l], w[data.AUTHORITY + l] = end if at_once else authority, end
 
 

@@ -60,7 +60,7 @@ static const size_t real_inputs[] = {
 };
 static const size_t whole_inputs[] = { {% for name, size, kind in fields if kind == "int32_t" %}offsetof(ldc_inputs, {{ name }}), {% endfor %} };
 static const size_t whole_outputs[] = {offsetof(ldc_outputs, phase), offsetof(ldc_outputs, side),
-    offsetof(ldc_outputs, status), offsetof(ldc_outputs, iterations)};
+    offsetof(ldc_outputs, status), offsetof(ldc_outputs, iterations){{ ", offsetof(ldc_outputs, assist_state)" if driver }}};
 
 #define COUNT(list) (sizeof(list) / sizeof((list)[0]))
 
@@ -111,9 +111,9 @@ EXPORT(int) fmi2GetReal(void *c, const unsigned r[], size_t n, double value[])
 {
     instance *one = (instance *)c;
     for (size_t i = 0; i < n; i++) {
-        if (r[i] > COUNT(real_inputs)) { return no_variable(one, "fmi2GetReal", r[i]); }
+        if (r[i] > {{ "(COUNT(real_inputs) + 1u)" if driver else "COUNT(real_inputs)" }}) { return no_variable(one, "fmi2GetReal", r[i]); }
         value[i] = (r[i] == COUNT(real_inputs)) ? (double)one->out.delta
-            : (double)*(ldc_real *)(void *)((char *)&one->in + real_inputs[r[i]]);
+            : {{ "(r[i] > COUNT(real_inputs)) ? (double)one->out.authority : " if driver }}(double)*(ldc_real *)(void *)((char *)&one->in + real_inputs[r[i]]);
     }
     return OK;
 }

@@ -172,14 +172,14 @@ static ldc_work law(ldc_state *s, const ldc_work x[4], const ldc_work r[], const
 {% endif %}
 {% if has.f_i %}
     delta += g[AT_F_I] * s->memory;
-    s->memory += LDC_DT * x[0];
+    {{ "if (s->yields == 0) { " if yields }}s->memory += LDC_DT * x[0];{{ " }" if yields }}
 {% endif %}
 {% elif law == "pid" %}
     const ldc_work e_p = x[0] + (g[AT_DISTANCE] * (x[2] - (g[AT_E_PSI_SS] * r[0])));
     const ldc_work wanted = (LDC_W({{ c.K_p }}) * e_p) + s->memory + (g[AT_DELTA_SS] * r[0])
         + (LDC_W({{ c.K_d }}) * (x[1] + (g[AT_DISTANCE] * x[3])));
     const ldc_work delta = clip(wanted, -LDC_W({{ c.delta_max }}), LDC_W({{ c.delta_max }}));
-    s->memory += (LDC_DT * LDC_W({{ c.K_i }}) * e_p) + (LDC_W({{ c.share }}) * (delta - wanted));
+    s->memory += {{ "((s->yields != 0) ? LDC_W(0.0) : " if yields }}(LDC_DT * LDC_W({{ c.K_i }}) * e_p){{ ")" if yields }} + (LDC_W({{ c.share }}) * (delta - wanted));
 {% elif law == "stanley" %}
     /* change of the lane's heading from the centre of gravity to the front axle */
     const ldc_work to_axle = LDC_W({{ c.l_f }}) * (r[0] / s->v);
@@ -267,6 +267,10 @@ static void take_over(ldc_state *s, const ldc_inputs *in, int32_t side)
     (void)memset(s, 0, sizeof(*s));
     s->phase = LDC_ACTIVE;
     s->side = side;
+{% if driver %}
+    s->assist_state = LDC_ASSIST_ACTIVE;
+    s->authority = 1.0;
+{% endif %}
     s->measured = in->wheel;
     s->v = in->v;
     s->angle = (ldc_work)side * in->wheel;
@@ -284,6 +288,29 @@ void ldc_init(ldc_state *state)
     (void)memset(state, 0, sizeof(*state)); /* LDC_ARMED is 0 */
 }
 
+{% if driver %}
+/* Whether the driver overrides at this sample: the authority moves over the sample before, then the state changes. */
+static void yield_to_driver(ldc_state *s, ldc_work torque)
+{
+    const int32_t pulls = (within(torque, LDC_OVERRIDE_TORQUE) == 0) ? 1 : 0;
+    const int32_t active = (s->assist_state == LDC_ASSIST_ACTIVE) ? 1 : 0;
+    const double now = s->authority + ((active != 0) ? LDC_RAMP_STEP : -LDC_RAMP_STEP);
+    s->authority = (now > (1.0 - 1.0e-9)) ? 1.0 : ((now > 1.0e-9) ? now : 0.0);
+    if (within(torque, LDC_MAX_INPUT) != 0) { /* otherwise the count is held */
+        s->count = (pulls != active) ? 0 : (s->count + ((s->count < (INT32_MAX - 1)) ? 1 : 0));
+        if ((active != 0) && (s->count >= LDC_OVERRIDE_STEPS)) { s->assist_state = LDC_ASSIST_OVERRIDDEN; }
+        if ((s->assist_state == LDC_ASSIST_OVERRIDDEN) && (s->authority <= 0.0)) {
+            s->assist_state = LDC_ASSIST_RELEASED;
+            s->count = 1 - pulls;
+        }
+        if ((s->assist_state == LDC_ASSIST_RELEASED) && (s->count >= LDC_RETURN_STEPS)) {
+            s->assist_state = LDC_ASSIST_ACTIVE;
+            s->count = 0;
+        }
+    }
+}
+
+{% endif %}
 /* A command while steering, outward. */
 static ldc_work steer(ldc_state *s, const ldc_inputs *in, uint32_t *status)
 {
@@ -302,6 +329,12 @@ static ldc_work steer(ldc_state *s, const ldc_inputs *in, uint32_t *status)
     estimate(s, in, side, x);
 {% endif %}
     s->wheel = side * in->wheel;
+{% if yields %}
+    s->yields = {{ "((s->steps > %d) && (within(s->sent[%d], LDC_W(%s)) == 0)) ? 1 : 0" % (whole, whole, delta_max) if delta_max else 0 }};
+{% if driver %}
+    if ((s->assist_state != LDC_ASSIST_ACTIVE) || (s->authority < 1.0) || (in->assist_saturated != 0)) { s->yields = 1; }
+{% endif %}
+{% endif %}
     delta = law(s, x, {{ "&r[2], &h[2]" if barrier else "r, h" }}, status);
     if (within(delta, LARGEST) == 0) {
         delta = s->sent[0];
@@ -317,7 +350,7 @@ static ldc_work steer(ldc_state *s, const ldc_inputs *in, uint32_t *status)
 {% endif %}
     for (int32_t i = LDC_SENT - 1; i > 0; i--) { s->sent[i] = s->sent[i - 1]; }
     s->sent[0] = delta;
-    s->steps = 1;
+    s->steps {{ "+= (s->steps > %d) ? 0 : 1" % whole if yields else "= 1" }};
     return delta;
 }
 
@@ -331,6 +364,9 @@ uint32_t ldc_step(const ldc_inputs *in, ldc_state *state, ldc_outputs *out)
         s->phase = LDC_ARMED;
         s->handed_over = 0;
     }
+{% if driver %}
+    if (s->phase != LDC_ARMED) { yield_to_driver(s, in->driver_torque); } /* not in the step that takes over */
+{% endif %}
     if (usable(in) == 0) {
         status = LDC_INPUT;
     } else {
@@ -366,5 +402,9 @@ uint32_t ldc_step(const ldc_inputs *in, ldc_state *state, ldc_outputs *out)
     out->side = s->side;
     out->status = status;
     out->iterations = iterations;
+{% if driver %}
+    out->assist_state = (s->phase == LDC_ARMED) ? LDC_ASSIST_ARMED : s->assist_state;
+    out->authority = (s->phase == LDC_ARMED) ? (ldc_real)0.0 : (ldc_real)s->authority;
+{% endif %}
     return status;
 }

@@ -46,6 +46,17 @@ typedef ldc_real ldc_work;
 #define LDC_ACTIVE 1 /* phase: steering since the departure */
 #define LDC_RELEASED 2 /* phase: the edge is back; steering goes on until engage is 0 */
 
+{% if driver %}
+#define LDC_ASSIST_ARMED 0 /* assist_state: no torque, as the phase is armed */
+#define LDC_ASSIST_ACTIVE 1 /* the assist steers */
+#define LDC_ASSIST_OVERRIDDEN 2 /* the driver overrides: authority falls to 0 */
+#define LDC_ASSIST_RELEASED 3 /* the driver steers */
+#define LDC_OVERRIDE_TORQUE LDC_W({{ driver.torque }}) /* [N m] a larger torque of the driver, */
+#define LDC_OVERRIDE_STEPS {{ driver.over }} /* at so many samples in a row, overrides */
+#define LDC_RETURN_STEPS {{ driver.calm }} /* samples in a row without it until the assist comes back; INT32_MAX: never */
+#define LDC_RAMP_STEP {{ driver.share }} /* change of authority in a sample */
+
+{% endif %}
 #define LDC_OK 0u
 #define LDC_INPUT 1u /* bit of status: an input is not finite or out of range; the command and the state are held */
 #define LDC_HELD 2u /* the command was not finite: the one before is held */
@@ -66,6 +77,10 @@ typedef struct {
     int32_t side; /* 1 left, -1 right, 0 armed */
     uint32_t status;
     int32_t iterations; /* of the solver in this step; 0 without one */
+{% if driver %}
+    int32_t assist_state;
+    ldc_real authority; /* share of the assist's torque at this sample, 0 to 1; 0 while armed */
+{% endif %}
 } ldc_outputs;
 
 {% if mpc %}
@@ -111,12 +126,20 @@ typedef struct {
     int32_t phase;
     int32_t side;
     int32_t outside; /* the edge has been beyond the line */
-    int32_t steps; /* 0 at the departure, then 1 */
+    int32_t steps; /* 0 at the departure, then {{ "up to %d" % (whole + 1) if yields else 1 }} */
     int32_t unusable; /* steps in a row with LDC_INPUT or LDC_HELD while steering */
     int32_t handed_over; /* 1 from LDC_HANDED_OVER on until engage is 0 */
+{% if driver %}
+    int32_t assist_state;
+    int32_t count; /* samples in a row beyond LDC_OVERRIDE_TORQUE while active, not beyond it since the release */
+    double authority; /* in double in any case: a ramp ends in the same sample */
+{% endif %}
     ldc_work measured; /* [rad] last usable angle of the wheels */
     ldc_work output; /* [rad] last command */
     ldc_work v; /* [m/s] speed of the departure */
+{% if yields %}
+    int32_t yields; /* the assist did not follow the commands: the integral stays */
+{% endif %}
 {% if columns %}
     ldc_work gain[LDC_COLUMNS]; /* at that speed */
 {% endif %}

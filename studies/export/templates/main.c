@@ -11,7 +11,7 @@
 #else
 #define BOUND {{ bound }}
 #endif
-#define FIELDS {{ numbers + 3 }} /* begins, those of ldc_inputs, delta, phase */
+#define FIELDS {{ numbers + (5 if driver else 3) }} /* begins, those of ldc_inputs, delta, phase{{ ", assist_state, authority" if driver }} */
 
 /* The numbers of a line, with commas between them; how many there are, 0 where there is anything else. */
 static int read_row(const char *line, double row[FIELDS])
@@ -59,11 +59,11 @@ int main(void)
             const double difference = fabs(next[0] - (double)out.delta);
             beyond += (difference > BOUND) ? 1 : 0;
             worst = fmax(worst, difference);
-            wrong += (out.phase != (int32_t)next[1]) ? 1 : 0;
+            wrong += (out.phase != (int32_t)next[1]){{ " || (out.assist_state != (int32_t)next[2]) || !(fabs((double)out.authority - next[3]) < 1.0e-6)" if driver }} ? 1 : 0;
             rows++;
         }
     }
-    printf("%ld steps, largest difference %.2g rad, %ld phases differ\n", rows, worst, wrong);
+    printf("%ld steps, largest difference %.2g rad, %ld phases{{ ", states or authorities of the assist" if driver }} differ\n", rows, worst, wrong);
     if (unread > 0) { printf("%ld rows are not %d numbers\n", unread, FIELDS); }
     return ((rows > 0) && (unread == 0) && (beyond == 0) && (wrong == 0)) ? 0 : 1;
 }

@@ -66,6 +66,21 @@ def test_findings_of_a_law(words: str, code: int, sentence: str, tmp_path: Path)
     assert sentence in reviewed(code, *words.split(), cwd=tmp_path)
 
 
+def test_arms_on_the_wheel_have_rows_below_their_design(folder: Path) -> None:
+    held = STUDY.replace("[[design]]", "[plant.driver]\nstraight = 1.0\ngrip = [0.1, 0.4]\n[[design]]", 1)
+    (folder / "held.toml").write_text(held, encoding="utf-8")
+    out = reviewed(0, "held.toml", "--design", "LQR, y_s=0.1 m, r_delta=30000", "--json", "r.json", cwd=folder)
+    (entry,) = json.loads((folder / "r.json").read_text(encoding="utf-8"))
+    names = ["arms relaxed (g = 0.1)", "arms tensed (g = 0.4)"]
+    assert list(entry["held"]) == names
+    _, _, label, *rows = printed_rows(out.split("worst of all speeds")[1])
+    assert label[0].startswith("LQR")
+    assert [row[0] for row in rows] == names
+    for row, loop in zip(rows, entry["held"].values(), strict=True):
+        assert row[1] == f"{min(loop['gain_margin_dB']):.1f}"
+        assert row[4:] == [f"{min(loop['damping']):.2f}", "–", "–", "", ""]  # noqa: RUF001
+
+
 @pytest.mark.slow
 def test_a_study_and_one_of_its_designs(folder: Path) -> None:
     """One review for each set of gains, on the study's plant; thresholds that share it are listed together."""
@@ -198,13 +213,13 @@ def test_an_overview_holds_the_worst_of_all_speeds(folder: Path) -> None:
     out = reviewed(3, "s.toml", "--speed", "10:40", "--points", "2", cwd=folder)
     headings, units, *rows = printed_rows(out)
     assert [f"{a} {b}".strip() for a, b in zip(headings, units, strict=True)] == [
-        "design", "gain margin [dB]", "phase margin [deg]", "disk margin", "e_y in a bend [m]", "other tyres [m]",
-        "faults", "warnings",
+        "design", "gain margin [dB]", "phase margin [deg]", "disk margin", "damping", "e_y in a bend [m]",
+        "other tyres [m]", "faults", "warnings",
     ]  # fmt: skip
     assert rows == [
-        ["No control, y_s=0.2 m", *["–"] * 5, "0", "0"],  # noqa: RUF001
-        ["LQR, y_s=0.1, 0.2 m, r_delta=30", "4.1", "1.2", "0.02", "0.000", "∞", "6", "2"],
-        ["LQR, y_s=0.1, 0.2 m, r_delta=30000", "24.2", "46.1", "0.85", "0.000", "0.442", "0", "1"],
+        ["No control, y_s=0.2 m", *["–"] * 6, "0", "0"],  # noqa: RUF001
+        ["LQR, y_s=0.1, 0.2 m, r_delta=30", "4.1", "1.2", "0.02", "0.01", "0.000", "∞", "6", "2"],
+        ["LQR, y_s=0.1, 0.2 m, r_delta=30000", "24.2", "46.1", "0.85", "0.65", "0.000", "0.442", "0", "1"],
     ]
     for sentence in (
         "fault: At 40 m/s the loop gets unstable if its gain shrinks by 2.3 dB; allowed: at least 6 dB (so at 1 of 2",

@@ -18,16 +18,29 @@ import pytest
 from helpers.closed_loop import Constant, Table, make_scenarios
 from helpers.predictive import Held, Slow
 from ldctoolkit import Controller, Preview, Setup, load_model
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import EventStatus
-from ldctoolkit.controllers import LQR, PID, BarrierFilter, LinearMPC, NonlinearMPC, PurePursuit, SlidingMode, Stanley
+from ldctoolkit.controllers import (
+    LQI,
+    LQR,
+    PID,
+    BarrierFilter,
+    LinearMPC,
+    NonlinearMPC,
+    PurePursuit,
+    SlidingMode,
+    Stanley,
+)
 from ldctoolkit.controllers.external import compiler
-from ldctoolkit.plant_options import Actuator, PlantOptions
+from ldctoolkit.plant_options import Actuator, Driver, PlantOptions
 from ldctoolkit.studies.export import export_c
 from ldctoolkit.studies.export.c_code import Code
 from ldctoolkit.studies.export.loop_check import Compiled, Rows, check, record, struct
 from ldctoolkit.studies.study_file import load_study
 
 REALISTIC = load_study("trigger-and-gains").setup()
+DRIVER = Driver(straight=0.5, against=0.5, override_torque=2.0, override_time=0.15, ramp=0.35, return_after=0.3)
+HELD = dataclasses.replace(REALISTIC, options=dataclasses.replace(REALISTIC.options, driver=DRIVER))
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
 SOFT = LinearMPC(horizon=12, a_y_max=2.0, jerk_max=3.0, e_y_max=1.2)
 LAWS: dict[str, Controller] = {
@@ -46,6 +59,12 @@ LAWS: dict[str, Controller] = {
     "slow": Slow(horizon=8),
     "held": Held(horizon=12),
 }
+WITH_DRIVER: dict[str, Controller] = {
+    "lqi, driver": LQI(conditioned=True),
+    "barrier around pid, driver": BarrierFilter(inner="pid", inner_gains="conditioned=true"),
+}
+SETUPS = dict.fromkeys(WITH_DRIVER, HELD)
+LAWS |= WITH_DRIVER
 
 
 def run(*command: object, cwd: Path, text: str | None = None) -> subprocess.CompletedProcess[str]:
@@ -75,24 +94,27 @@ def exported(controller: Controller, folder: Path, setup: Setup = REALISTIC, *, 
 
 @pytest.mark.parametrize("single", [False, True])
 @pytest.mark.parametrize(
-    "name", ["lqr", "pure_pursuit", "table", *(pytest.param(x, marks=pytest.mark.slow) for x in LAWS)]
+    "name", ["lqr", "pure_pursuit", "table", "lqi, driver", *(pytest.param(x, marks=pytest.mark.slow) for x in LAWS)]
 )
 def test_bench_repeats_the_check_without_warnings(name: str, single: bool, folder: Path) -> None:
-    exported(LAWS[name], folder)
+    exported(LAWS[name], folder, SETUPS.get(name, REALISTIC))
     precision = ["-DLDC_USE_FLOAT"] if single else []
     built = run("cc", *STRICT, *precision, "-O2", "main.c", *sources(folder), "-lm", "-o", "bench", cwd=folder)
     assert built.returncode == 0, built.stderr
     vectors = (folder / "test_vectors.csv").read_text()
     done = run("./bench", cwd=folder, text=vectors)
     assert done.returncode == 0, done.stdout
-    assert re.fullmatch(r"\d{3,4} steps, largest difference \S+ rad, 0 phases differ\n", done.stdout)
+    what = "phases, states or authorities of the assist" if name in SETUPS else "phases"
+    assert re.fullmatch(rf"\d{{3,4}} steps, largest difference \S+ rad, 0 {what} differ\n", done.stdout)
     lines = vectors.splitlines()
-    k = next(i for i in range(1, len(lines)) if lines[i].endswith(",1"))
-    *start, delta, phase = lines[k].split(",")
-    worse = ",".join([*start, repr(float(delta) + 2e-3), phase])
-    assert run("./bench", cwd=folder, text="\n".join([*lines[:k], worse, *lines[k + 1 :], ""])).returncode == 1
-    other = ",".join([*start, delta, "2"])
-    assert run("./bench", cwd=folder, text="\n".join([*lines[:k], other, *lines[k + 1 :], ""])).returncode == 1
+    k, columns = next(i for i in range(1, len(lines)) if lines[i].startswith("0")), lines[0].split(",")
+    changes = {"delta": 2e-3, "phase": 1.0} | ({"assist_state": 1.0, "authority": 2e-6} if name in SETUPS else {})
+    assert columns[columns.index("delta") :] == list(changes)
+    for column, change in changes.items():
+        row = lines[k].split(",")
+        row[columns.index(column)] = repr(float(row[columns.index(column)]) + change)
+        text = "\n".join([*lines[:k], ",".join(row), *lines[k + 1 :], ""])
+        assert run("./bench", cwd=folder, text=text).returncode == 1, column
 
 
 def test_the_bench_ends_at_the_end_of_its_input(folder: Path) -> None:
@@ -145,7 +167,7 @@ int main()
 def test_a_host_in_cpp(name: str, folder: Path) -> None:
     if not shutil.which("c++"):
         pytest.skip("no C++ compiler")
-    exported(LAWS[name], folder)
+    exported(LAWS[name], folder, SETUPS.get(name, REALISTIC))
     (folder / "host.cpp").write_text(CPP)
     for precision in ((), ("-DLDC_USE_FLOAT",)):
         for command in (
@@ -157,11 +179,11 @@ def test_a_host_in_cpp(name: str, folder: Path) -> None:
         assert run("./a.out", cwd=folder).stdout == "0 0 0.03125\n"
 
 
-@pytest.mark.parametrize("name", ["lqr", *(pytest.param(name, marks=pytest.mark.slow) for name in LAWS)])
+@pytest.mark.parametrize("name", ["lqr", "lqi, driver", *(pytest.param(x, marks=pytest.mark.slow) for x in LAWS)])
 def test_cppcheck_has_no_warnings(name: str, folder: Path) -> None:
     if not shutil.which("cppcheck"):
         pytest.skip("cppcheck is not installed")
-    exported(LAWS[name], folder)
+    exported(LAWS[name], folder, SETUPS.get(name, REALISTIC))
     options = "--enable=all --suppress=missingIncludeSystem --inconclusive --error-exitcode=1 --std=c99 --quiet"
     done = run("cppcheck", *options.split(), "ldc_controller.c", "main.c", cwd=folder)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
@@ -193,7 +215,7 @@ int main(void)
     ldc_inputs in;
     ldc_outputs out;
     double last = 0.0, wheel = 0.0;
-    long phases[3] = {{0, 0, 0}}, bad = 0, handed_over = 0;
+    long phases[3] = {{0, 0, 0}}, states[4] = {{0, 0, 0, 0}}, bad = 0, handed_over = 0;
     int stuck = 0, row = 0;
     ldc_init(&s);
     for (long n = 0; n < {steps}; n++) {{
@@ -221,20 +243,28 @@ int main(void)
         }}
         if (out.iterations < 0 || out.iterations > {bound}) {{ return 5; }}
         phases[out.phase]++;
+{driver}
         last = (double)out.delta;
     }}
-    printf("%ld %ld %ld %ld %ld\\n", phases[0], phases[1], phases[2], bad, handed_over);
+    printf("%ld %ld %ld %ld %ld ", phases[0], phases[1], phases[2], bad, handed_over);
+    printf("%ld %ld %ld %ld\\n", states[0], states[1], states[2], states[3]);
     return 0;
 }}
 """
+OF_DRIVER = """
+        if ((out.assist_state == 0) != (out.phase == 0) || !(out.authority >= 0 && out.authority <= 1)) { return 9; }
+        if ((out.assist_state == 0 || out.assist_state == 3) && out.authority > 0) { return 10; }
+        states[out.assist_state]++;
+"""
 SIZES = {
-    "v": 60.0, "e_psi": 0.5, "e_psi_rate": 0.5, "wheel": 0.1, "curvature": 0.005, "heading": 0.2, "frame_e_psi": 0.3,
+    "v": 60.0, "driver_torque": 4.0, "e_psi": 0.5, "e_psi_rate": 0.5, "wheel": 0.1, "curvature": 0.005,
+    "heading": 0.2, "frame_e_psi": 0.3,
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["lqr", *(pytest.param(name, marks=pytest.mark.slow) for name in LAWS)])
+@pytest.mark.parametrize("name", ["lqr", "lqi, driver", *(pytest.param(x, marks=pytest.mark.slow) for x in LAWS)])
 def test_sanitizers_are_quiet_on_wild_inputs(name: str, folder: Path) -> None:
-    code = exported(LAWS[name], folder)
+    code = exported(LAWS[name], folder, SETUPS.get(name, REALISTIC))
     fill = []
     for field, size, kind in code.inputs:
         value = f"({kind})wild({SIZES.get(field, SIZES.get(field.removesuffix('_seen'), 2.0))})"
@@ -247,7 +277,8 @@ def test_sanitizers_are_quiet_on_wild_inputs(name: str, folder: Path) -> None:
     bound = (form.sqp or form.mpc or {"iterations": 0})["iterations"] * (form.sqp or {"programs": 1})["programs"]
     # a step of a predictive controller takes a thousand times as long as that of a linear law, of soft limits a hundred
     steps = 10_000 if form.sqp else 30_000 if name == "mpc, soft" else 100_000
-    (folder / "fuzz.c").write_text(HARNESS.format(steps=steps, fill="\n".join(fill), bound=bound))
+    driver = OF_DRIVER if name in SETUPS else ""
+    (folder / "fuzz.c").write_text(HARNESS.format(steps=steps, fill="\n".join(fill), bound=bound, driver=driver))
     sanitizers = ("-g", "-O1", "-fsanitize=undefined,address,float-cast-overflow", "-fno-sanitize-recover=all")
     for checks, precision, fast in (
         (sanitizers, (), ()),
@@ -263,7 +294,8 @@ def test_sanitizers_are_quiet_on_wild_inputs(name: str, folder: Path) -> None:
             assert built.returncode == 0, built.stderr
         done = run("./fuzz", cwd=folder)
         assert (done.returncode, done.stderr) == (0, "")
-        armed, active, released, bad, handed_over = map(int, done.stdout.split())
+        armed, active, released, bad, handed_over, *states = map(int, done.stdout.split())
+        assert (min(states) > 100) == (name in SETUPS)
         assert armed + active + released == steps
         assert min(armed, active, released, bad, handed_over) > 100
 
@@ -369,6 +401,91 @@ def test_an_edge_that_never_reaches_the_line_is_back_at_the_threshold(lines: tup
     assert [unit.step(v=20.0, engage=1, line_right=-2.0, line_left=line)[1] for line in lines] == phases
 
 
+# ------------------------------------------------------------------------------------------------ the driver
+
+
+def by_the_rule(torque: FloatArray, driver: Driver, dt: float) -> tuple[FloatArray, FloatArray]:
+    """State and authority (k, n) at samples with torques (k, n): the rule of the closed loop, one by one."""
+    states, authorities = np.zeros(torque.shape), np.zeros(torque.shape)
+    for i in range(torque.shape[1]):
+        state, authority, over, calm = 1, 1.0, 0, 0
+        for k in range(len(torque)):
+            beyond = k > 0 and abs(torque[k, i]) > driver.override_torque
+            if state == 1:
+                over = over + 1 if beyond else 0
+                if beyond and over * dt >= driver.override_time - 1e-9:
+                    state = 2
+            if state == 2 and authority == 0.0:
+                state, calm = 3, 0
+            if state == 3 and driver.return_after > 0.0:
+                calm = 0 if beyond else calm + 1
+                if calm * dt >= driver.return_after - 1e-9:
+                    state, over = 1, 0
+            states[k, i], authorities[k, i] = state, authority
+            change = dt / driver.ramp if driver.ramp else 1.0
+            authority += change if state == 1 else -change
+            authority = 1.0 if authority > 1.0 - 1e-9 else authority if authority > 1e-9 else 0.0
+    return states, authorities
+
+
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize(
+    ("dt", "changes"),
+    [
+        (0.05, {}),
+        (0.05, {"override_time": 0.0, "ramp": 0.0, "return_after": 0.05}),
+        (0.02, {"override_time": 0.05, "ramp": 0.33}),
+        (0.01, {"ramp": 0.005, "return_after": 0.0}),
+        (0.03, {"override_time": 0.09, "return_after": 0.06, "ramp": 0.5}),
+    ],
+)
+def test_states_and_authority_follow_the_rule(dt: float, changes: dict[str, float], single: bool) -> None:
+    """Also with a torque at the threshold, which is not beyond it, and in the step that takes over."""
+    driver, rng, n, steps = dataclasses.replace(DRIVER, **changes), np.random.default_rng(2), 40, 300
+    code = Code.of(LQR(), Setup(dt=dt, options=PlantOptions(driver=driver)), 0.1)
+    unit, torque = Instances(code, n, single=single), rng.choice([0.0, 1.0, 2.0, -2.0, 2.5, -3.0, 9.0], (steps, n))
+    held = rng.random((steps, n)) < 0.8
+    for k in range(1, steps):
+        torque[k] = np.where(held[k], torque[k - 1], torque[k])
+    states, authorities = by_the_rule(torque, driver, dt)
+    assert {1.0, 2.0} < set(np.unique(states)) if driver.ramp else {1.0, 3.0} < set(np.unique(states))
+    returns = (states[1:] == 1) & (states[:-1] == 3)
+    assert (returns.sum() > 40) == (driver.return_after > 0)
+    for k in range(steps):
+        out = unit.outputs(**STEERING, driver_torque=torque[k])
+        np.testing.assert_array_equal(out["assist_state"], states[k])
+        np.testing.assert_allclose(out["authority"], authorities[k], rtol=0.0, atol=1e-7 if single else 0.0)
+
+
+def test_the_driver_overrides_whatever_else_is_unusable() -> None:
+    """The count goes on where the state of the lane is not known; it waits where the torque is not. Armed is armed."""
+    unit = Instances(Code.of(LQR(), HELD, 0.1))
+
+    def states(**inputs: Any) -> tuple[int, int, float]:
+        (out,) = unit.outputs(**inputs)
+        return int(out["phase"]), int(out["assist_state"]), float(out["authority"])
+
+    assert states(v=20.0, engage=1, line_left=0.0, driver_torque=9.0) == (0, 0, 0.0)
+    assert states(**STEERING) == (1, 1, 1.0)  # the torque before the departure does not count
+    assert [states(driver_torque=torque) for torque in (9.0, np.nan, 9.0, np.inf)] == [(1, 1, 1.0)] * 4
+    assert states(driver_torque=-9.0) == (1, 2, 1.0)
+    assert states(e_psi=np.nan) == (1, 2, pytest.approx(6 / 7))
+    assert states(driver_torque=np.nan) == (1, 2, pytest.approx(5 / 7))
+    assert states(engage=0) == (0, 0, 0.0)
+    assert states(**STEERING, driver_torque=0.0) == (1, 1, 1.0)
+    assert [states(e_psi=np.nan, driver_torque=9.0) for _ in range(3)] == [(1, 1, 1.0)] * 2 + [(1, 2, 1.0)]
+    assert states() == (1, 2, pytest.approx(6 / 7))
+    assert states() == (0, 0, 0.0)  # handed over
+
+
+def test_without_a_driver_nothing_of_the_driver_is_in_the_code(folder: Path) -> None:
+    code = exported(LQI(conditioned=True), folder, fmu=True)
+    assert [name for name, _, kind in code.inputs if kind == "int32_t"] == ["frame_new", "engage"][not code.filtered :]
+    for path in folder.iterdir():
+        text = path.read_bytes().decode(errors="replace")
+        assert not re.search("driver|assist|authority|torque|yields", text), path.name
+
+
 # ------------------------------------------------------------------------------------------------ linear MPC
 
 
@@ -459,8 +576,9 @@ def test_departures_in_which_the_toolkit_gave_up_are_left_out() -> None:
 # ------------------------------------------------------------------------------------------------ the FMU
 
 
-def test_fmu_gives_the_same_commands(folder: Path) -> None:
-    code = exported(BarrierFilter(inner="lqi"), folder, fmu=True)
+@pytest.mark.parametrize("setup", [REALISTIC, HELD])
+def test_fmu_gives_the_same_commands(setup: Setup, folder: Path) -> None:
+    code = exported(BarrierFilter(inner="lqi"), folder, setup, fmu=True)
     path = folder / "ldc_controller.fmu"
     assert fmpy.validation.validate_fmu(str(path)) == []
     with zipfile.ZipFile(path) as packed:
@@ -486,7 +604,12 @@ def test_fmu_gives_the_same_commands(folder: Path) -> None:
             slave.doStep(currentCommunicationPoint=k * 0.05, communicationStepSize=0.05)
             assert slave.getReal([references["delta"]])[0] == pytest.approx(recording.delta[k, i], abs=1e-9)
             assert slave.getInteger([references["phase"]])[0] == recording.phase[k, i]
+            if setup is HELD:
+                both = slave.getInteger([references["assist_state"]]) + slave.getReal([references["authority"]])
+                assert both == pytest.approx(recording.assist[:, k, i].tolist(), abs=1e-12)
         slave.reset()
+    assert ("authority" in references) == (setup is HELD)
+    assert setup is REALISTIC or {1.0, 2.0, 3.0} <= set(recording.assist[0][recording.counts])
     with pytest.raises(Exception, match="fmi2DoStep failed"):
         slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.01)
     slave.terminate()

@@ -28,7 +28,7 @@ from ldctoolkit.controllers import (
     Stanley,
 )  # fmt: skip
 from ldctoolkit.errors import LdcError
-from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
+from ldctoolkit.plant_options import Actuator, Driver, KalmanFilter, PlantOptions, Sensors
 from ldctoolkit.studies.export import Origin, export_c, parameters
 from ldctoolkit.studies.export.c_code import Code
 from ldctoolkit.studies.export.law_tables import Schedule
@@ -132,6 +132,85 @@ def test_other_plants(name: str, setup: str) -> None:
     compared(LAWS[name], SETUPS[setup], y_s=0.2, n=60)
 
 
+HELD = Driver(
+    recorded=0.2, straight=0.2, follows=0.1, against=0.3, returns=0.2, override_torque=1.5, override_time=0.1, ramp=0.2,
+    return_after=0.3,
+)  # fmt: skip
+ARMS = dataclasses.replace(HELD, model="arms", ramp=0.5)
+LATE = Actuator(lag=0.1, delay=0.07, delta_max=0.02)
+WAITING: dict[str, Controller] = {
+    "lqi": LQI(conditioned=True), "pid": PID(conditioned=True),
+    "barrier around lqr": BarrierFilter(inner="lqi", inner_gains="conditioned=true", e_y_max=1.0),
+}  # fmt: skip
+
+
+def with_driver(driver: Driver, actuator: Actuator = REALISTIC.options.actuator, dt: float = 0.05) -> Setup:
+    options = dataclasses.replace(REALISTIC.options, driver=driver, actuator=actuator)
+    return dataclasses.replace(REALISTIC, options=options, dt=dt)
+
+
+@pytest.mark.parametrize(
+    ("name", "setup"),
+    [
+        ("lqi", with_driver(HELD, dt=0.02)),
+        ("pid", with_driver(ARMS, LATE)),
+        pytest.param("pid", with_driver(HELD, LATE, dt=0.03), marks=pytest.mark.slow),
+        pytest.param("lqi", with_driver(ARMS, LATE), marks=pytest.mark.slow),
+        pytest.param("lqi", with_driver(dataclasses.replace(HELD, ramp=0.0)), marks=pytest.mark.slow),
+        pytest.param("barrier around lqr", with_driver(HELD, LATE), marks=pytest.mark.slow),
+        pytest.param("mpc", with_driver(ARMS), marks=pytest.mark.slow),
+        pytest.param("stanley", with_driver(HELD, dt=0.01), marks=pytest.mark.slow),
+        pytest.param("lqi", dataclasses.replace(with_driver(ARMS), options=dataclasses.replace(
+            SETUPS["a slow camera"].options, driver=ARMS)), marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
+def test_a_driver_in_the_loop(name: str, setup: Setup) -> None:
+    """State and authority of the assist are the loop's at every sample, in both precisions; it returns many times."""
+    code = Code.of(WAITING.get(name, LAWS[name]), setup, 0.1)
+    recording = record(code, make_scenarios(360, 5))
+    state, authority = np.where(recording.counts, recording.assist, np.nan)
+    returns = (state[1:] == 1) & (state[:-1] == 3)
+    assert (returns.any(axis=0)).sum() > 50
+    assert (authority[state == 3] == 0.0).all()
+    rising = authority[state == 1] < 1.0
+    assert (rising.sum() > 100) or setup.options.driver.ramp == 0.0
+    result = check(recording, ["cc"])
+    assert result.departures >= 300
+    assert result.assist == 0
+    assert result.passed
+    assert "  driver: 0 states and authorities of the assist differ, in both precisions together" in result.lines
+    if name in WAITING:
+        assert recording.inputs["assist_saturated"].any()
+    if name == "lqi":  # the torque is positive to the left, whichever side the departure is on
+        scenarios = make_scenarios(360, 5)
+        paths = simulate(code.controller, scenarios, setup=setup, y_s=0.1, trajectories=True).trajectories
+        assert paths is not None
+        assert paths.driver_torque is not None
+        rows = recording.host.over.rows
+        torque = scenarios.side[rows] * paths.driver_torque[rows, 1]
+        np.testing.assert_allclose(recording.inputs["driver_torque"][5], torque, rtol=2e-6, atol=1e-9)
+    if name == "lqi":  # one other state and one other authority are counted, in each precision
+        recording.assist[:, *np.argwhere(recording.counts)[-1]] += 2e-6
+        worse = check(recording, ["cc"])
+        assert (worse.assist, worse.passed) == (4, False)
+
+
+@pytest.mark.parametrize("name", ["lqi", "pid"])
+def test_an_integral_waits_at_the_limit_of_the_actuator(name: str) -> None:
+    """Without a driver too: from the limit of the command that has arrived, never that of the trigger's angle."""
+    actuator = dataclasses.replace(LATE, delta_max=0.004, delay=0.12)
+    code = Code.of(WAITING[name], with_driver(Driver(), actuator), 0.1)
+    recording = record(code, make_scenarios(120, 5))
+    assert (np.abs(recording.inputs["wheel"][4])[recording.counts[4]] > 0.004).sum() > 5
+    result = check(recording, ["cc"])
+    assert result.assist is None
+    assert result.passed
+    free = Code.of(LAWS[name], code.setup, 0.1)
+    assert "yields" not in free.texts("")["ldc_controller.c"]
+    other = dataclasses.replace(recording, host=dataclasses.replace(recording.host, code=free))
+    assert check(other, ["cc"]).delta > 1e-6
+
+
 @pytest.mark.parametrize("y_s", [0.0, -0.3])
 def test_triggers_before_the_line(y_s: float) -> None:
     assert compared(LQR(), REALISTIC, y_s=y_s).departures == 120
@@ -193,7 +272,15 @@ USUAL: dict[str, Any] = {
 
 @pytest.mark.parametrize(
     ("name", "beyond"),
-    [("delta", 1.1e-9), ("S", 1.1e-9), ("phases", 1), ("failed", 1), ("float_delta", 1.1e-5), ("float_S", 1.1e-3)],
+    [
+        ("assist", 1),
+        ("delta", 1.1e-9),
+        ("S", 1.1e-9),
+        ("phases", 1),
+        ("failed", 1),
+        ("float_delta", 1.1e-5),
+        ("float_S", 1.1e-3),
+    ],
 )
 def test_every_figure_of_the_check_counts(name: str, beyond: float) -> None:
     assert Check(**USUAL).passed
