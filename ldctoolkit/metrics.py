@@ -16,7 +16,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, unmasked
 from ldctoolkit.code_content import content_of
 from ldctoolkit.declared import checked_choice, checked_number
 from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.plant_options import PlantOptions
 
 Better = Literal["less", "more"]
 Over = Literal["all", "interventions"]
@@ -358,6 +359,14 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _metrics_by_name(
 """What a release requires beside S, by its name, in the order of ``ranking.csv``."""
 
 METRICS: Final[Mapping[str, Metric]] = {**_RANKED, **RELEASE_METRICS}  # every metric of a design by its name
+
+_Row = TypeVar("_Row", ScenarioMetric, Metric)
+
+
+def measured_on(options: PlantOptions | None, rows: Mapping[str, _Row]) -> dict[str, _Row]:
+    """The rows whose metrics a run on a plant has: those of a driver only where one holds the wheel."""
+    driver = options is not None and not options.driver.ideal
+    return {name: row for name, row in rows.items() if driver or row.group != "driver"}
 
 
 # ------------------------------------------------------------------------------------------------ of a designer

@@ -17,13 +17,13 @@ from ldctoolkit.control import Controller, EventStatus
 from ldctoolkit.declared import checked_whole
 from ldctoolkit.errors import LdcError, expect
 from ldctoolkit.law_checks import check_controller, raised
-from ldctoolkit.plant_options import Mismatch, Residuals
+from ldctoolkit.plant_options import INTENTS, Driver, Mismatch, Residuals
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Outcome, Takeover, drive
 
 from .design import Design
-from .standards import KM_H, VEHICLES, Cells, QuantityName, Standard, load_standard
+from .standards import KM_H, OF_A_DRIVER, VEHICLES, Cells, QuantityName, Standard, load_standard
 from .storage.folder_files import write_text
 from .storage.measure_table import remembered
 from .tables import Column, Row, Table, to_csv
@@ -210,6 +210,8 @@ QUANTITIES: Final[Mapping[QuantityName, Quantity]] = {
     "jerk": Quantity("Lateral jerk", "m/s³", False, 2, _jerk),
     "steering_wheel_rate": Quantity("Steering wheel velocity", "°/s", False, 1, _wheel_rate),
     "lateral_velocity_after": Quantity("Lateral velocity 2 s after", "m/s", False, 2, _lateral_velocity_after),
+    "driver_torque_peak": Quantity("Overriding torque", "N·m", False, 2),
+    "against_parallel": Quantity("Against the driver once parallel", "s", False, 2),
 }
 """Every quantity of a condition by its name."""
 
@@ -238,16 +240,30 @@ class Assessment:
     met: BoolArray  # (w, c, n)
     diverged: BoolArray  # (w, n) The vehicle left the road: no condition is met
     failed_solves: IntArray  # (w, n) Commands that came from the fallback law
+    # Of the conditions on a driver's torque; the others are without one
+    driver: Driver = dataclasses.field(default_factory=Driver)
+
+    @property
+    def _enough(self) -> BoolArray:
+        """Where as many conditions are met as the standard requires, all where fewer can be assessed, (w, n)."""
+        conditions = self.met.shape[1]
+        required = conditions if self.standard.required is None else min(self.standard.required[0], conditions)
+        return np.asarray(self.met.sum(axis=1) >= required)
 
     @property
     def passed(self) -> BoolArray:
-        """Cells whose conditions are all met as stated, (n,)."""
-        return np.asarray(self.met[0].all(axis=0))
+        """Cells in which the conditions that are required are met as stated, (n,)."""
+        return np.asarray(self._enough[0])
 
     @property
     def robust(self) -> BoolArray:
-        """Cells whose conditions are met under every variant, (n,)."""
-        return np.asarray(self.met.all(axis=(0, 1)))
+        """Cells in which they are met under every variant, (n,)."""
+        return np.asarray(self._enough.all(axis=0))
+
+    @property
+    def held(self) -> int:
+        """Number of conditions that are met in every standard cell as stated."""
+        return int(self.met[0][:, ~self.cells.extended].all(axis=1).sum())
 
     @property
     def lights(self) -> tuple[LightName, ...]:
@@ -323,7 +339,8 @@ def assess(
         Name in the catalog, a TOML file, or what `load_standard` gives.
     setup : Setup, optional
         Vehicle, plant, clock, trigger and seed. The lane is cut to the width that the standard allows; the vehicles
-        that the plant draws are replaced by the named ones of the variants.
+        that the plant draws are replaced by the named ones of the variants. A driver of the plant holds the wheel for
+        the conditions on a driver's torque only, which are not assessable without one.
     y_s : float [m]
         Trigger threshold; below 0 before the line.
     tolerances : bool
@@ -364,7 +381,8 @@ def stored_assessment(folder: Path | None, design: Design, name: str, setup: Set
 class _Runs:
     """The runs of a test: w variants of its n cells, in batches."""
 
-    test: Standard
+    test: Standard  # With the conditions that can be assessed
+    driver: Driver
     cells: Cells
     batches: list[tuple[list[str], Setup, Scenarios]]  # Names of variants, setup, and n scenarios for each name
     limits: FloatArray  # (c, n) Limits of the conditions as stated
@@ -373,10 +391,12 @@ class _Runs:
     def of(cls, test: Standard, given: Setup, seeds: int) -> _Runs:
         """The runs of a test, with the lane width limited to the range that it allows."""
         width = min(max(given.vehicle.w_l, test.lane_width_m[0]), test.lane_width_m[1])
-        given = dataclasses.replace(given, vehicle=dataclasses.replace(given.vehicle, w_l=width))
+        driver, test = given.options.driver, test.assessable(given.options.driver)
+        vehicle, options = dataclasses.replace(given.vehicle, w_l=width), given.options
+        given = dataclasses.replace(given, vehicle=vehicle, options=dataclasses.replace(options, driver=Driver()))
         cells = test.every_cell
         limits = np.array([test.limits(condition, cells) for condition in test.condition])
-        return cls(test, cells, list(_variants(test, cells, given, seeds)), limits)
+        return cls(test, driver, cells, list(_variants(test, cells, given, seeds)), limits)
 
     def driven(self, controller: Controller, y_s: float) -> dict[str, FloatArray]:
         """Values and limits (w, c, n), status and failed solves (w, n)."""
@@ -390,12 +410,14 @@ class _Runs:
             count = scenarios.n // n
             try:
                 run = _Drive.of(controller, Takeover.build(scenarios, on, y_s=y_s), np.tile(broken, count))
+                with_driver, more_failed = self._with_driver(controller, scenarios, on, y_s)
             except (LdcError, KeyboardInterrupt, GeneratorExit):
                 raise
             except BaseException as error:  # a controller may be third-party code
                 raise LdcError(f"law {controller.name!r} in {test.name}", f"{raised(error)}") from None
+            metrics = vars(run.outcome.metrics) | with_driver
             quantities = ((condition.quantity, QUANTITIES[condition.quantity].of) for condition in test.condition)
-            values = [getattr(run.outcome.metrics, name) if of is None else of(run) for name, of in quantities]
+            values = [metrics[name] if of is None else of(run) for name, of in quantities]
             limits = np.repeat(self.limits[None], count, axis=0)
             for c, condition in enumerate(test.condition):
                 if condition.quantity == "lateral_velocity_after" and scenarios.drift is not None:
@@ -405,8 +427,28 @@ class _Runs:
             parts["values"].append(np.array(values).reshape(len(values), -1, n).swapaxes(0, 1))
             parts["limits"].append(limits)
             parts["status"].append(run.outcome.status.reshape(-1, n))
-            parts["failed_solves"].append(run.outcome.failed_solves.reshape(-1, n))
+            parts["failed_solves"].append((run.outcome.failed_solves + more_failed).reshape(-1, n))
         return {name: np.concatenate(arrays) for name, arrays in parts.items()}
+
+    def _with_driver(
+        self, controller: Controller, scenarios: Scenarios, on: Setup, y_s: float
+    ) -> tuple[dict[QuantityName, FloatArray], IntArray]:
+        """Quantities of a driver: overriding torque of one who means to leave the lane, else the largest of all.
+
+        Every cell is driven with each of the plant's intents, whatever its share. (n,) each, and failed solves (n,).
+        """
+        shares = dict(zip(INTENTS, self.driver.shares, strict=True))
+        intents = {"driver_torque_peak": ["against"], "against_parallel": [name for name in INTENTS if shares[name]]}
+        asked = {c.quantity: intents[c.quantity] for c in self.test.condition if c.quantity in OF_A_DRIVER}
+        outcomes = {}
+        for intent in dict.fromkeys(itertools.chain(*asked.values())):
+            alone: dict[str, Any] = {name: float(name == intent) for name in INTENTS}
+            driver = dataclasses.replace(self.driver, **alone)
+            over = Takeover.build(scenarios, on.on(dataclasses.replace(on.options, driver=driver)), y_s=y_s)
+            outcomes[intent] = drive(controller, over).outcome("departure")
+        values = {name: np.max([getattr(outcomes[i].metrics, name) for i in of], axis=0) for name, of in asked.items()}
+        failed = sum((outcome.failed_solves for outcome in outcomes.values()), np.zeros(scenarios.n, dtype=np.int64))
+        return values, failed
 
     def judged(self, driven: Mapping[str, FloatArray]) -> Assessment:
         """The assessment of driven values."""
@@ -419,7 +461,7 @@ class _Runs:
         met = (np.isnan(beyond) | (beyond <= 1e-9)) & ~diverged[:, None]
         names = tuple(name for batch, _, _ in self.batches for name in batch)
         solves = driven["failed_solves"].astype(np.int64)
-        return Assessment(self.test, self.cells, names, values, limits, met, diverged, solves)
+        return Assessment(self.test, self.cells, names, values, limits, met, diverged, solves, self.driver)
 
 
 def _variants(test: Standard, cells: Cells, setup: Setup, seeds: int) -> Iterator[tuple[list[str], Setup, Scenarios]]:

@@ -17,7 +17,7 @@ from ldctoolkit.errors import InputError, UnknownNameError, nearest
 from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT, MEAN_OF_ALL, METRICS, Metric, UserMetric, declare, user_rows
 from ldctoolkit.plant_options import PlantOptions
 
-from .standards import load_standard, standard_names
+from .standards import ADD_DRIVER, load_standard, standard_names
 
 Operator = Literal["<=", "<", ">=", ">"]
 
@@ -93,7 +93,8 @@ def metric_values(name: str, source: Any) -> FloatArray:
     canonical, metrics = metric(name).name, getattr(source, "metrics", source)
     values = (metrics if isinstance(metrics, Mapping) else vars(metrics) | metrics.beside).get(canonical)
     if values is None:
-        raise InputError(f"metric {canonical}", "not among these results")
+        hint = ADD_DRIVER if metric(name).group == "driver" else ""
+        raise InputError(f"metric {canonical}", "not among these results", hint=hint)
     return np.asarray(values, dtype=np.float64)
 
 
@@ -111,9 +112,12 @@ SETS: Final[Mapping[str, tuple[str, ...]]] = {
     "stable": ("lost <= 0", "gain_margin >= 2", f"phase_margin >= {math.radians(30.0)!r}"),
     "comfort": (f"a_y_added_peak_p95 <= {A_Y_LIMIT}", f"jerk_added_peak_p95 <= {JERK_LIMIT}"),
     "lane-edge": ("within_dtle_gain >= 0",),
+    # Euro NCAP 2026, v1.1: overriding torque, of the 95 % quantile an assumption; its `AGAINST_LIMIT`; an assumption
+    "acceptable": ("driver_torque_peak_p95 <= 3.0", "against_parallel_max <= 1.0", "handover_step_p95 <= 1.0"),
     "physical": (),
 }
-"""Named sets of requirements. ``physical`` depends on the plant: `requirements_of` creates it."""
+"""Named sets of requirements. ``physical`` depends on the plant: `requirements_of` creates it; ``acceptable`` needs a
+driver."""
 
 G: Final = 9.81  # acceleration of free fall [m/s^2]
 

@@ -19,7 +19,8 @@ from ldctoolkit.clusters import with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues, UserMetric
+from ldctoolkit.metrics import METRIC_COLUMNS, SCENARIO_METRICS, MetricValues, UserMetric, measured_on
+from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenario_model.refit import FEWEST
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -201,6 +202,11 @@ class StudyResults(Frame):
         return score_label(self.window, self.convention)
 
     @property
+    def options(self) -> PlantOptions | None:
+        """The plant of the runs; None where it is not known."""
+        return None if self.setup is None else self.setup.options
+
+    @property
     def companions(self) -> MetricValues:
         """The former name of `metrics`."""
         warnings.warn("companions: the name is metrics now", DeprecationWarning, stacklevel=2)
@@ -285,7 +291,8 @@ class StudyResults(Frame):
 
         tables, sides = [], np.where(self.scenarios.side == LEFT, "left", "right")
         columns: dict[str, Any] = {f"{name}_{self.window}_m_s": getattr(self, name) for name in ("S", "S_uncorrected")}
-        columns |= {column: getattr(self.metrics, name) for name, column in METRIC_COLUMNS.items()}
+        measured = measured_on(self.options, SCENARIO_METRICS)
+        columns |= {METRIC_COLUMNS[name]: getattr(self.metrics, name) for name in measured}
         columns |= {self.user_rows[name].column(name): values for name, values in self.user_metrics.items()}
         columns |= {"status": STATUS_NAMES[self.status], "failed_solves": self.failed_solves}
         for i, design in enumerate(self.designs):

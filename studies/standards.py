@@ -14,6 +14,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.checked_files import read_toml
 from ldctoolkit.departures import RIGHT
 from ldctoolkit.errors import InputError, StudyError, UnknownNameError
+from ldctoolkit.plant_options import Driver
 from ldctoolkit.scenarios import Drifts, Scenarios
 from ldctoolkit.validation import Part, as_tuples, first_problem
 
@@ -42,7 +43,14 @@ QuantityName = Literal[
     "jerk",
     "steering_wheel_rate",
     "lateral_velocity_after",
+    "driver_torque_peak",
+    "against_parallel",
 ]
+
+OF_A_DRIVER: Final[tuple[QuantityName, ...]] = ("driver_torque_peak", "against_parallel")
+"""Quantities that a plant has with a driver at the wheel only."""
+
+ADD_DRIVER: Final = "add [plant.driver] to the study"
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -78,6 +86,7 @@ class Condition(Part):
     # A number, or a number for each lateral velocity of the drift: [m], [m/s], [m/s^2], [m/s^3] or, of a wheel, [deg/s]
     limit: float | tuple[float, ...]
     from_speed_km_h: float = 0.0
+    what: str = ""  # The requirement in words, for a plant on which it is not assessable
 
 
 class NotAssessable(Part):
@@ -102,6 +111,7 @@ class Standard(Part):
     drift: Drift | None = None
     cells: Annotated[tuple[Grid, ...], Field(min_length=1)]
     condition: Annotated[tuple[Condition, ...], Field(min_length=1)]
+    required: tuple[int, int] | None = None  # How many conditions have to hold, of how many; all by default
     not_assessable: tuple[NotAssessable, ...] = ()
 
     @model_validator(mode="after")
@@ -120,6 +130,8 @@ class Standard(Part):
             raise InputError("drift.radius_m", problem, allowed=f"at {slowest:g} or below")
         if self.lane_width_m[0] > self.lane_width_m[1]:
             raise InputError("lane_width_m", value=self.lane_width_m, allowed="narrowest, widest")
+        if self.required is not None and not len(self.condition) <= self.required[1] >= self.required[0] >= 1:
+            raise InputError("required", value=self.required, allowed="how many conditions, and of how many")
         bends = any(grid.lateral_acceleration_m_s2 for grid in self.cells)
         for i, condition in enumerate(self.condition):
             path, limit = f"condition[{i}].limit", condition.limit
@@ -128,6 +140,19 @@ class Standard(Part):
             if isinstance(limit, tuple) and len(limit) != len(rates):
                 raise InputError(path, f"{len(limit)} values", allowed="one a lateral velocity")
         return self
+
+    def assessable(self, driver: Driver) -> Self:
+        """The test on a plant: without a driver, conditions on the torque of one are not assessable."""
+        left = [condition for condition in self.condition if condition.quantity in OF_A_DRIVER]
+        if not (driver.ideal and left):
+            return self
+        if len(left) == len(self.condition):
+            problem = "has only conditions on a driver's torque"
+            raise InputError("standard", problem, value=self.name, hint=ADD_DRIVER)
+        why = f"it needs a driver's torque, which the vehicle model does not have; {ADD_DRIVER}"
+        parts = tuple(NotAssessable(what=condition.what or condition.quantity, why=why) for condition in left)
+        kept = tuple(condition for condition in self.condition if condition not in left)
+        return self.model_copy(update={"condition": kept, "not_assessable": parts + self.not_assessable})
 
     @property
     def every_cell(self) -> Cells:

@@ -18,7 +18,7 @@ from ldctoolkit.checked_files import read_toml
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
-from ldctoolkit.metrics import MEAN_OF_ALL, user_rows
+from ldctoolkit.metrics import MEAN_OF_ALL, measured_on, user_rows
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
@@ -29,8 +29,8 @@ from ldctoolkit.vehicle.bicycle import VehicleParameters
 
 from .design import Design
 from .design_space import DesignBlock, check_blocks, load_laws, named_laws
-from .requirements import SETS, UserMetrics, criterion, loaded_metrics, metric, parse_requirement
-from .standards import VEHICLES, standard_names
+from .requirements import SETS, UserMetrics, criterion, loaded_metrics, metric, parse_requirement, requirements_of
+from .standards import ADD_DRIVER, VEHICLES, standard_names
 from .vehicle_models import MODEL, vehicle_name, with_models
 
 
@@ -314,6 +314,18 @@ class Study(Part):
         for text in (*self._metrics, self.ranking.rank_by):
             if (row := user_rows().get(re.split("[ <>=]", text)[0])) and row.of[0] not in names:
                 raise InputError("metrics", f"without {row.of[0]}, which is named", value=text, allowed=names or "none")
+        return self
+
+    @model_validator(mode="after")
+    def _measured(self) -> Self:
+        objectives = self.search.objectives if self.search else ()
+        named = [("ranking.require", text, limit.metric) for text in self.ranking.require
+                 for limit in requirements_of([text])]  # fmt: skip
+        named += [("ranking.pareto", text, metric(text)) for text in self.ranking.pareto]
+        named += [("search.objectives", text, metric(text)) for text in objectives]
+        for path, text, row in named:
+            if not measured_on(self.plant, {text: row}):
+                raise InputError(path, "needs a driver at the wheel", value=text, hint=ADD_DRIVER)
         return self
 
     @model_validator(mode="after")

@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     from ldctoolkit.errors import InputError
 
     from ..assessment import assess, write_predictions
-    from ..pages.assessment_section import score_text, scores, write_assessment_page
+    from ..pages.assessment_section import condition_sentences, score_text, scores, write_assessment_page
     from ..standards import load_standard, standard_names
     from ..storage.folder_files import output_folder
 
@@ -77,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
     print_table(scores(assessments), out, narrow=True)
     for _, assessment in assessments if len(assessments) <= len(tests) else []:
         say(out, f"{assessment.standard.name}: {score_text(assessment)}")
+        say(out, *(f"  {sentence}" for sentence in condition_sentences(assessment)))
         missed = [i for light in ("red", "amber") for i in range(assessment.cells.n) if assessment.lights[i] == light]
         say(out, *(f"  {assessment.cells.name(i)}: {assessment.lights[i]}: {assessment.reason(i)}" for i in missed[:4]))
         say(out, *(f"  not assessable: {what.what}: {what.why}" for what in assessment.standard.not_assessable))

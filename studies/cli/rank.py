@@ -45,7 +45,7 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument(
         "--require", action="append", metavar="TEXT",
         help="what a design must meet to be ranked, as 'ay_p95 <= 3.0', or a set: stable, comfort, lane-edge, "
-        "physical; instead of the study's requirements; repeatable; '' for none",
+        "physical, acceptable; instead of the study's requirements; repeatable; '' for none",
     )  # fmt: skip
     about = "design that all are compared with: a law, or the start of an identifier; '' for no control"
     parser.add_argument("--baseline", metavar="DESIGN", help=about)

@@ -11,11 +11,12 @@ import numpy as np
 from markupsafe import Markup
 
 from ldctoolkit.errors import LdcError
+from ldctoolkit.plant_options import INTENTS
 from ldctoolkit.version import __version__
 
 from ..assessment import QUANTITIES, Assessment, LightName, stored_assessment
 from ..ranking.verdict import design_name
-from ..standards import KM_H, standard_names
+from ..standards import KM_H, QuantityName, standard_names
 from ..storage.folder_files import write_text
 from ..tables import Cell, Column, Row, Table, to_html
 from ..text import number, percent, plural, symbols
@@ -76,8 +77,34 @@ def score_text(assessment: Assessment) -> str:
     return f"{percent(assessment.score, 0)} of the standard cells pass as stated{robust}{points}"
 
 
+_DRIVEN: Final[dict[QuantityName, str]] = {
+    "driver_torque_peak": "the overriding torque is the largest one of a driver who means to leave the lane (against)",
+    "against_parallel": "the time against the driver is the longest of all these intents in the cell",
+}
+
+
+def condition_sentences(assessment: Assessment) -> Iterator[str]:
+    """How many conditions hold where not all have to, and with which driver those on a driver's torque are assessed."""
+    conditions, held, driver = assessment.standard.condition, assessment.held, assessment.driver
+    if (required := assessment.standard.required) is not None:
+        least, total = required
+        yield (
+            f"{least} of {total} conditions have to hold. {len(conditions)} can be assessed, and {held} of these hold "
+            f"in every standard cell as stated: {least} are {'reached' if held >= least else 'not reached'}."
+        )
+    if asked := {condition.quantity for condition in conditions} & _DRIVEN.keys():
+        shares = zip(INTENTS, driver.shares, strict=True)
+        intents = ", ".join(f"{name} {percent(share, 0)}" for name, share in shares if share)
+        yield (
+            f"With the driver model of [plant.driver] ({driver.model}; {intents}): "
+            f"{', '.join(text for name, text in _DRIVEN.items() if name in asked)}. The other conditions are assessed "
+            "without a driver."
+        )
+
+
 def _assessment_sentences(assessment: Assessment) -> Iterator[str]:
     yield f"{score_text(assessment)}."
+    yield from condition_sentences(assessment)
     if len(assessment.variants) > 1:
         yield (
             f"Corners: {plural(len(assessment.variants) - 1, 'variant')} of speed, lateral velocity, vehicle and "

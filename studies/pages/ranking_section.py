@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
-from ldctoolkit.metrics import METRICS, USER_GROUP
+from ldctoolkit.metrics import METRICS, USER_GROUP, measured_on
 
 from ..ranking.finalists import SCORE
 from ..ranking.ranking import Ranking
@@ -139,11 +139,8 @@ def _named_metrics(context: Context) -> Markup:
     columns = [Column("Metric", text=True), Column(_title(context)), *(Column(name) for name, _ in others)]
     rows = []
     users = {row.name: row for row in map(metric, ranking.metrics.beside) if row.group == USER_GROUP}
-    for name, definition in {**METRICS, **users}.items():
-        try:
-            values = [context.metric(name, i), *(math.nan if j is None else context.metric(name, j) for _, j in others)]
-        except LookupError:
-            continue
+    for name, definition in (measured_on(context.results.options, METRICS) | users).items():
+        values = [context.metric(name, i), *(math.nan if j is None else context.metric(name, j) for _, j in others)]
         if any(math.isfinite(value) for value in values):
             rows.append(Row((definition.title, *(metric_text(name, value) for value in values))))
     return to_html(Table("All metrics", columns, rows))

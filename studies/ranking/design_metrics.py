@@ -19,7 +19,7 @@ from ldctoolkit.clusters import design_effect, several
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics import DTLE_LIMIT, MEAN_OF_ALL, METRICS, Interventions, Metric, share_within_dtle
+from ldctoolkit.metrics import DTLE_LIMIT, MEAN_OF_ALL, METRICS, Interventions, Metric, measured_on, share_within_dtle
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -194,7 +194,7 @@ def _groups(results: StudyResults) -> list[list[Metric]]:
     """Group the metrics that share a metric of the scenarios, so that each of the latter is read once."""
     groups: list[list[Metric]] = []
     users = (row for metric in results.user_rows.values() for row in metric.rows.values())
-    for added in (*METRICS.values(), *users):
+    for added in (*measured_on(results.options, METRICS).values(), *users):
         if added.aggregate or added.share is not None:
             joined = [group for group in groups if any(set(added.of) & set(other.of) for other in group)]
             groups = [group for group in groups if group not in joined]

@@ -281,7 +281,7 @@ class RankedDesigns:
     rank: IntArray
     missed: tuple[tuple[Miss, ...], ...]  # For each design, the requirements that it misses, and its values
     requirements: tuple[Requirement, ...]
-    # The requirements, followed by those of the sets ``stable``, ``comfort`` and ``physical``
+    # The requirements, followed by those of the sets ``stable``, ``comfort``, ``physical`` and ``acceptable``
     limits: tuple[Requirement, ...]
     # (k, 3, d) Values of the k limited metrics and the ends of their intervals: pointwise for quantiles and shares, for
     # all designs at once for mean S, NaN for other metrics

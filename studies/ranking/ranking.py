@@ -16,7 +16,7 @@ from ldctoolkit.clusters import doubt_of, several
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StudyError, expect
-from ldctoolkit.metrics import METRICS, RELEASE_METRICS, declare
+from ldctoolkit.metrics import METRICS, RELEASE_METRICS, declare, measured_on
 from ldctoolkit.vehicle import VehicleModel
 
 from ..design import Design
@@ -201,6 +201,8 @@ class Ranking(RankedDesigns, Frame):
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)
         limits = requirements_of((*require, *(name for name in SETS if name != "lane-edge")), options)
+        measured = measured_on(results.options, {limit.metric.name: limit.metric for limit in limits})
+        limits = tuple(limit for limit in limits if limit.metric.name in measured)
         pareto_metrics = tuple(metric(name).name for name in pareto)
         reference = find_baseline(baseline, results)
         drivable = drivable_results(results)
@@ -493,9 +495,10 @@ def _numbers(ranking: Ranking) -> dict[str, Any]:
     numbers["winner"] = np.arange(len(ranking)) == ranking.winner
     numbers |= {METRICS[name].column: getattr(ranking.metrics, name) for name in ("triggered", "deeper")}
     numbers |= {name: getattr(ranking.metrics, name) for name in _COUNTS}
-    numbers |= {metric.column: ranking.metrics.beside[metric.name] for metric in RELEASE_METRICS.values()}
-    standards = [name for name in ranking.metrics.beside if name not in METRICS]
-    return numbers | {metric(name).column: ranking.metrics.beside[name] for name in standards}
+    beside = ranking.metrics.beside
+    standards = [name for name in beside if name not in METRICS]
+    named = (*(name for name in RELEASE_METRICS if name in beside), *standards)
+    return numbers | {metric(name).column: beside[name] for name in named}
 
 
 def _column_of(prefix: str, name: str, ranking: Ranking) -> str:

@@ -299,23 +299,22 @@ def _stable_light(ranking: RankedDesigns, position: int) -> Light:
 
 def _limits_light(ranking: RankedDesigns, position: int) -> Light:
     impossible = _impossible(ranking, position)
-    limited = [
-        estimate for estimate in ranking.estimates(position) if estimate.requirement.set not in ("stable", "physical")
-    ]
+    limited = [of for of in ranking.estimates(position) if of.requirement.set not in ("stable", "physical")]
     missed = [estimate.text for estimate in limited if estimate.required and not estimate.met]
-    others = [estimate.text for estimate in limited if not estimate.required and not estimate.met]
+    others = {of.text: of.requirement.set for of in limited if not (of.required or of.met)}
     level = f"{100 * ranking.confidence:g} %"
     close = [estimate.with_interval(level) for estimate in limited if estimate.met and estimate.uncertain]
     if impossible:
         return Light("Limits", "bad", f"{_capital(impossible)}.")
     if missed:
         return Light("Limits", "bad", f"{_capital(_list(missed))}.")
-    doubts = [f"Not required, but beyond comfort: {_list(others)}."] if others else []
+    sets = list(dict.fromkeys(others.values()))
+    doubts = [f"Not required, but beyond {_list(sets)}: {_list([*others])}."] if others else []
     doubts += [f"Met on {ranking.sample(position)}, but not with certainty: {'; '.join(close)}."] if close else []
     if doubts:
         return Light("Limits", "warning", " ".join(doubts))
-    names = dict.fromkeys([*(requirement.set or requirement.text for requirement in ranking.requirements), "comfort"])
-    return Light("Limits", "good", f"Meets {_list(list(names))}.")
+    every = (*ranking.requirements, *(estimate.requirement for estimate in limited))
+    return Light("Limits", "good", f"Meets {_list([*dict.fromkeys(limit.set or limit.text for limit in every)])}.")
 
 
 def depths(results: StudyResults, i: int, setup: Setup | None = None) -> tuple[FloatArray, FloatArray]:

@@ -28,14 +28,14 @@ from ldctoolkit import (
     registry,
 )
 from ldctoolkit.controllers import LQR
-from ldctoolkit.metrics import METRIC_UNITS
+from ldctoolkit.metrics import DRIVER_METRICS, METRIC_UNITS
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import Run, Takeover
 
 frozen = dataclasses.dataclass(frozen=True)
 
 ZOO = [name for name in controller_names() if controller_class(name).__module__.startswith("ldctoolkit.controllers.")]
-METRICS = tuple(METRIC_UNITS)  # names of what a run measures for each scenario beside S
+METRICS = tuple(name for name in METRIC_UNITS if name not in DRIVER_METRICS)  # beside S, without a driver
 
 
 class Idle(Controller):
@@ -84,7 +84,7 @@ def values(out: Outcome | Run) -> dict[str, np.ndarray]:
     """Everything that a result holds for each scenario, in the order that it has."""
     scores = ("S", "S_uncorrected", "t_s") if isinstance(out, Outcome) else ("area",)
     found = {name: getattr(out, name) for name in (*scores, "status", "failed_solves")}
-    return found | {name: getattr(out.metrics, name) for name in METRICS}
+    return found | {name: getattr(out.metrics, name) for name in METRIC_UNITS}
 
 
 def assert_within_the_bound(out: Any, expected: Any, rows: Any = slice(None), between: float = 5e-4) -> None:

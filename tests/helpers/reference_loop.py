@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 from scipy.optimize import brentq, minimize_scalar, root
 
-from ldctoolkit import Scenarios
+from ldctoolkit import LinearLaw, Scenarios
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
 
 G = 9.81
@@ -33,6 +33,19 @@ JERK_WINDOW = 0.5
 Times = Any  # one time or an array of times [s]; and what belongs to them
 Law = Callable[..., float]
 """(x, yaw rate ahead, heading change ahead, command before, those before it, wheel angle) -> command, as seen."""
+
+
+def of_row(law: LinearLaw, j: int) -> Law:
+    """That of one scenario."""
+    past, wheel = (0.0 if given is None else given[j] for given in (law.f_past, law.f_wheel))
+
+    def command(x: np.ndarray, rate: Any, heading: Any, before: float, earlier: list[float], angle: float) -> float:
+        ahead = [(rate(s), heading(s)) for s in law.preview_times]
+        lane = sum(law.G_yaw_rate[j, p] * r + law.G_heading[j, p] * turn for p, (r, turn) in enumerate(ahead))
+        sent = np.dot(past, earlier[: np.size(past)]).sum()
+        return float(law.F[j] @ x + lane + law.f_u[j] * before + sent + wheel * angle)
+
+    return command
 
 
 @dataclasses.dataclass(frozen=True)
@@ -233,6 +246,7 @@ class _Loop:
         self.curvature_draw, self.rtol = curvature_draw, rtol
         self.full = math.floor((path.T - t_s) / dt)
         self.rest = path.T - t_s - self.full * dt
+        self.rest = self.rest if self.rest > 1e-12 else 0.0
         self.more = math.ceil(settle / dt - 1e-9)
         x_0, self.delta_0 = self.recorded(t_s), self.attitude(t_s)[1]
         self.state = np.append(self.vehicle_coordinates(t_s, x_0), self.delta_0)
@@ -340,10 +354,14 @@ class _Loop:
             return v_y + self.v(t) * e_psi
         return v_y * math.cos(e_psi) + self.v(t) * math.sin(e_psi)
 
+    def angle(self, t: float, state: np.ndarray) -> float:
+        """Steering angle of the wheels."""
+        return state[4]
+
     def forces(self, t: float, state: np.ndarray) -> tuple[float, float]:
         """Lateral force of the front axle along the vehicle's y, and of the rear axle."""
-        _, _, v_y, omega, delta = state
-        p, v = self.true, self.v(t)
+        _, _, v_y, omega = state[:4]
+        p, v, delta = self.true, self.v(t), self.angle(t, state)
         if self.options.tyres.model == "linear":
             return (2 * p.C_af * (delta - (v_y + p.l_f * omega) / v), -2 * p.C_ar * (v_y - p.l_r * omega) / v)
         alpha_f = delta - math.atan2(v_y + p.l_f * omega, v)
@@ -366,7 +384,7 @@ class _Loop:
 
     def derivative(self, t: float, state: np.ndarray, inside: bool, wheel: Callable[[float], float]) -> np.ndarray:
         state = state.tolist()  # ten times as fast as numbers out of an array
-        _, e_psi, v_y, omega, delta = state
+        _, e_psi, v_y, omega, delta = state[:5]
         F_f, F_r = self.forces(t, state)
         a_y = (F_f + F_r) / self.true.m + self._slip_of_the_print(t, state)
         de_y = self.lateral_rate(t, e_psi, v_y)
@@ -413,7 +431,7 @@ class _Loop:
         number = self.camera.latest(k)
         frame = self._frame(number)
         seen = np.array([frame[0], x[1], frame[1], x[3]])
-        self.wheels.append(self.state[4])
+        self.wheels.append(self.angle(t, self.state))
         wheels = np.interp(np.array([k - 1, k]) - self.age / self.dt, range(k + 1), self.wheels)
         if self.filter is not None:
             if k > 0:
@@ -493,11 +511,11 @@ class _Loop:
     def _row(self, t: float) -> None:
         self.rows_t.append(t)
         self.rows_x.append(self.path.side * self.lane_coordinates(t, self.state))
-        self.rows_delta.append(self.path.side * self.state[4])
+        self.rows_delta.append(self.path.side * self.angle(t, self.state))
         self.rows_a_y.append(self.path.side * self.a_y(t, self.state))
 
     def _node(self, t: float, before: np.ndarray, after: np.ndarray) -> None:
-        self.nodes.append((t, self.a_y(t, before), self.a_y(t, after), after[4]))
+        self.nodes.append((t, self.a_y(t, before), self.a_y(t, after), self.angle(t, after)))
         lane = self.v(t) * self.yaw_rate(t)
         self.own.append((self.path.side * (self.nodes[-1][1] - lane), self.path.side * (self.nodes[-1][2] - lane)))
 

@@ -15,7 +15,7 @@ from helpers.closed_loop import Constant, Stepped
 from ldctoolkit import Controller, Plant, Setup, VehicleParameters, simulate
 from ldctoolkit.controllers import LQR, NoControl
 from ldctoolkit.errors import NOT_GIVEN, LdcError
-from ldctoolkit.plant_options import Mismatch
+from ldctoolkit.plant_options import Driver, Mismatch
 from ldctoolkit.simulation import Takeover
 from ldctoolkit.studies.assessment import Assessment, assess
 from ldctoolkit.studies.standards import Standard, load_standard, standard_names
@@ -299,6 +299,73 @@ def test_a_vehicle_that_leaves_the_road_meets_nothing() -> None:
     assert (assessment.lights[i], assessment.reason(i)) == ("red", "diverged, limit \u22120.10 m")
     calm = stated(Constant(F=(0.5, 0.0, 0.0, 0.0)), DRIVEABILITY, y_s=-0.4)  # at 50 km/h the wheel is not assessed
     assert not calm.met[0, 0, calm.diverged[0]].any()
+
+
+# ------------------------------------------------------------------------------------------------ a driver
+HANDS = Driver(straight=0.75, against=0.25, override_torque=2.0)
+
+
+def held(setup: Setup, driver: Driver) -> Setup:
+    return setup.on(dataclasses.replace(setup.options, driver=driver))
+
+
+def metric_of(name: str, standard: str, setup: Setup, driver: Driver, y_s: float) -> np.ndarray:
+    """A metric of the cells as stated, by the simulation."""
+    test = load_standard(standard)
+    scenarios = test.scenarios(test.every_cell, HALF)
+    return np.asarray(getattr(simulate(LQR(), scenarios, y_s=y_s, setup=held(quiet(setup), driver)).metrics, name))
+
+
+@pytest.mark.parametrize("name", ["ideal", "built"])
+def test_a_driver_counts_only_where_a_torque_is_asked_for(name: str, built: Setup) -> None:
+    """Passive hands else. The torque is that of one who means to leave the lane, the time the longest of all."""
+    setup = Setup() if name == "ideal" else built
+    alone = stated(LQR(), DRIVEABILITY, setup, y_s=-0.4)
+    both = stated(LQR(), DRIVEABILITY, held(setup, HANDS), y_s=-0.4)
+    assert (alone.values.shape[1], both.values.shape[1], both.driver) == (2, 4, HANDS)
+    np.testing.assert_array_equal(both.values[:, :2], alone.values)
+    against, straight = Driver(against=1.0, override_torque=2.0), Driver(straight=1.0, override_torque=2.0)
+    torque = metric_of("driver_torque_peak", DRIVEABILITY, setup, against, -0.4)
+    times = [metric_of("against_parallel", DRIVEABILITY, setup, one, -0.4) for one in (against, straight)]
+    np.testing.assert_array_equal(both.values[0, 2], torque)
+    np.testing.assert_array_equal(both.values[0, 3], np.maximum(*times))
+    assert ((times[0] > times[1]).any(), (times[0] < times[1]).any()) == (True, True)
+    assert torque.min() > 0.0
+
+
+def test_the_torque_is_measured_whether_or_not_the_study_has_that_intent() -> None:
+    """In bends too: UN R79 limits the force at the rim."""
+    only = stated(LQR(), "un-r79-b1", held(Setup(), Driver(follows=1.0)), y_s=-0.4)
+    np.testing.assert_array_equal(
+        only.values[0, 3], metric_of("driver_torque_peak", "un-r79-b1", Setup(), Driver(against=1.0), -0.4)
+    )
+    assert only.limits[0, 3].tolist() == [9.5] * 14
+    for name in (ROAD_EDGE, "iso-11270"):
+        given, plain = (stated(LQR(), name, setup, y_s=-0.4) for setup in (held(Setup(), HANDS), Setup()))
+        assert_same_bits(given.values, plain.values)
+
+
+def test_every_corner_is_driven_with_the_driver(built: Setup) -> None:
+    assessment = assess(LQR(), DRIVEABILITY, held(built, HANDS), y_s=-0.4, seeds=1)
+    assert assessment.values.shape == (21, 4, 30)
+    assert np.unique(assessment.values[:, 2, 7]).size > 10
+
+
+@pytest.mark.parametrize(
+    ("missed", "passes"), [((), True), ((0,), True), ((2,), True), ((3,), True), ((1, 3), False), ((0, 2, 3), False)]
+)
+def test_three_of_four_conditions_are_enough(missed: tuple[int, ...], passes: bool) -> None:
+    assessment = stated(LQR(), DRIVEABILITY, held(Setup(), HANDS), y_s=-0.4)
+    met = np.ones_like(assessment.met)
+    met[0, missed, 4] = False
+    changed = dataclasses.replace(assessment, met=met, diverged=np.zeros_like(assessment.diverged))
+    assert bool(changed.passed[4]) == bool(changed.robust[4]) == passes
+    assert (changed.score, changed.held) == (1.0 if passes else 29 / 30, 4 - len(missed))
+    # without a driver both that are left
+    alone = stated(LQR(), DRIVEABILITY, y_s=-0.4)
+    met = np.ones_like(alone.met)
+    met[0, 1, 4] = False
+    assert not dataclasses.replace(alone, met=met).passed[4]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from helpers.errors import assert_fields
-from ldctoolkit.errors import StudyError
+from ldctoolkit.errors import InputError, StudyError
+from ldctoolkit.plant_options import Driver
 from ldctoolkit.studies.standards import Cells, load_standard, standard_names
 
 ROAD_EDGE = "euroncap-2026-elk-road-edge"
@@ -29,7 +30,12 @@ def test_the_catalog() -> None:
     assert standard_names() == (*sorted(DRIFTING), "iso-11270", "un-r79-b1")
     sizes = {name: load_standard(name).every_cell.n for name in standard_names()}
     assert sizes == dict(zip(standard_names(), (30, 30, 36, 25, 14), strict=True))
-    limits = {ROAD_EDGE: [-0.1], "euroncap-2025-elk": [-0.3], "iso-11270": [3.0, 5.0], "un-r79-b1": [0.0, 0.0, 5.0]}
+    limits = {
+        ROAD_EDGE: [-0.1],
+        "euroncap-2025-elk": [-0.3],
+        "iso-11270": [3.0, 5.0],
+        "un-r79-b1": [0.0, 0.0, 5.0, 9.5],
+    }
     for name, expected in limits.items():
         assert [condition.limit for condition in load_standard(name).condition] == expected
     for name in standard_names():
@@ -84,11 +90,36 @@ def test_the_bends_of_r79() -> None:
 def test_the_limits_of_driveability() -> None:
     standard = load_standard("euroncap-2026-driveability")
     cells = standard.every_cell
-    wheel, after = standard.condition
+    wheel, after, torque, against = standard.condition
     assert (wheel.quantity, wheel.from_speed_km_h, after.from_speed_km_h) == ("steering_wheel_rate", 70.0, 0.0)
     assert table(cells, standard.limits(wheel, cells))[80] == [20.0, 25.0, 30.0, 35.0, 40.0]
     assert table(cells, standard.limits(after, cells))[100] == [0.3, 0.3, 0.4, 0.5, 0.6]
-    assert standard.not_assessable[0].what == "overriding torque at most 3.0 Nm (+0.5)"
+    assert (torque.quantity, torque.limit) == ("driver_torque_peak", 3.0 + 0.5)
+    assert (against.quantity, against.limit) == ("against_parallel", 1.0)
+    assert standard.required == (3, 4)
+
+
+def test_without_a_driver_what_needs_one_is_not_assessable(tmp_path: Path) -> None:
+    for name, least in (("euroncap-2026-driveability", 2), ("un-r79-b1", 1), ("iso-11270", 0)):
+        standard = load_standard(name)
+        given, left = standard.assessable(Driver(follows=1.0)), standard.assessable(Driver())
+        assert given == standard
+        assert len(left.condition) == len(standard.condition) - least
+        assert {condition.quantity for condition in left.condition}.isdisjoint(
+            {"driver_torque_peak", "against_parallel"}
+        )
+        assert len(left.not_assessable) == len(standard.not_assessable) + least
+        for part in left.not_assessable[:least]:
+            assert part.why.startswith(
+                "it needs a driver's torque, which the vehicle model does not have; add [plant.driver]"
+            )
+    left = load_standard("euroncap-2026-driveability").assessable(Driver())
+    assert left.not_assessable[0].what == "overriding torque at most 3.0 Nm (+0.5)"
+    alone = load_standard(own(tmp_path, 'quantity = "dtle"', 'quantity = "against_parallel"'))
+    with pytest.raises(InputError) as caught:
+        alone.assessable(Driver())
+    assert (caught.value.path, caught.value.value) == ("standard", "own")
+    assert "[plant.driver]" in caught.value.hint
 
 
 OWN = """
@@ -144,6 +175,9 @@ def test_a_test_of_ones_own(tmp_path: Path) -> None:
         ("-0.1", "[-0.1]", "condition[0].limit", ..., "one a lateral velocity"),
         ("0.5]\n[[cond", "0.6]\n[[cond", "cells", 0.6, "one of (0.2, 0.5)"),
         ("lateral_velocity_m_s = [0.2, 0.5]\n[[", "[[", "cells[0]", ..., ""),
+        ("false", "false\nrequired = [2, 1]", "required", (2, 1), "how many conditions, and of how many"),
+        ("false", "false\nrequired = [0, 1]", "required", (0, 1), "how many conditions, and of how many"),
+        ("false", "false\nrequired = [0, 0]", "required", (0, 0), "how many conditions, and of how many"),
         ("-0.1", "-0.1\nunit = 1", "condition[0].unit", ..., {"quantity"}),
     ],
 )

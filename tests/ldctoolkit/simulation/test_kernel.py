@@ -1,5 +1,6 @@
 """The compiled loops against each other and against the plain reference; the same bits however the work is cut up."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from helpers.errors import refused
 from ldctoolkit import Controller, EventStatus, Scenarios, simulate
 from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import NOT_GIVEN
-from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.plant_options import Actuator, Driver, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover, drive, drive_many
 from ldctoolkit.vehicle import Convention
@@ -85,11 +86,14 @@ def test_dropping_ended_scenarios_changes_no_bit() -> None:
 
 # the same bits
 
+HELD = Driver(recorded=0.2, straight=0.2, follows=0.2, against=0.2, returns=0.2, return_after=0.2)
 OPTIONS = {
     "ideal": PlantOptions(),
     "mismatch": PlantOptions(mismatch=Mismatch(m=(0.8, 1.3), C_af=(0.7, 1.1))),
     "camera": PlantOptions(sensors=Sensors(e_y_noise=0.03, delay=0.1, period=0.1, kalman=KalmanFilter())),
     "all": EVERY_OPTION,
+    "held": dataclasses.replace(EVERY_OPTION, driver=HELD),
+    "held by arms": PlantOptions(driver=dataclasses.replace(HELD, model="arms")),
 }
 DESIGNS = {"linear": CLOSED["integral"], "general": Stepped(CLOSED["integral"], drops=True), "none": NoControl()}
 
@@ -102,7 +106,8 @@ TWO_OF_EACH = grid(["ideal", "all"], ["linear", "general"], ("ideal", "linear"),
 
 
 @pytest.mark.parametrize(
-    ("options", "design"), grid(OPTIONS, ["linear", "general"], ("ideal", "linear"), ("camera", "general"))
+    ("options", "design"),
+    grid(OPTIONS, ["linear", "general"], ("ideal", "linear"), ("camera", "general"), ("held by arms", "linear")),
 )
 def test_threads_change_no_bit(options: str, design: str) -> None:
     """More scenarios than a thread takes at a time, and a last stretch that is shorter."""
@@ -115,7 +120,15 @@ def test_threads_change_no_bit(options: str, design: str) -> None:
 
 @pytest.mark.parametrize(
     ("options", "design"),
-    grid(OPTIONS, DESIGNS, ("ideal", "linear"), ("camera", "linear"), ("all", "linear"), ("camera", "general")),
+    grid(
+        OPTIONS,
+        DESIGNS,
+        ("ideal", "linear"),
+        ("camera", "linear"),
+        ("all", "linear"),
+        ("camera", "general"),
+        ("held", "general"),
+    ),
 )
 def test_order_and_company_change_no_bit(options: str, design: str) -> None:
     scenarios = with_residuals(make_scenarios(90, seed=4))

@@ -184,18 +184,6 @@ def various(options: PlantOptions, n: int) -> Scenarios:
     )  # fmt: skip
 
 
-def of_row(law: LinearLaw, j: int) -> reference.Law:
-    past, wheel = (0.0 if given is None else given[j] for given in (law.f_past, law.f_wheel))
-
-    def command(x: np.ndarray, rate: Any, heading: Any, before: float, earlier: list[float], angle: float) -> float:
-        ahead = [(rate(s), heading(s)) for s in law.preview_times]
-        lane = sum(law.G_yaw_rate[j, p] * r + law.G_heading[j, p] * turn for p, (r, turn) in enumerate(ahead))
-        sent = np.dot(past, earlier[: np.size(past)]).sum()
-        return float(law.F[j] @ x + lane + law.f_u[j] * before + sent + wheel * angle)
-
-    return command
-
-
 QUICK = [
     ("late filter", 10, True), ("all, late filter", 10, False), ("mismatch", 20, True),
     ("all, magic formula", 15, True),
@@ -215,7 +203,9 @@ def test_random_departures_equal_the_reference(case: str, n: int, known: bool) -
         law, out = design.prepare(over.plant), run(design, options, scenarios, settle=settle, plant_knowledge=knowledge)
         for j in np.flatnonzero(over.rows % 2 == parity):
             i = int(over.rows[j])
-            expected = driven(scenarios, options, i, law=of_row(law, j), known=known, settle=settle, rtol=1e-10)
+            expected = driven(
+                scenarios, options, i, law=reference.of_row(law, j), known=known, settle=settle, rtol=1e-10
+            )
             if expected.margin > 1e-3:  # else the camera's rounding may make a large difference of a small one
                 assert_same_path(out, i, expected)
                 compared += 1

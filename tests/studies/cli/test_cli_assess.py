@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,7 @@ def test_lights_of_every_kind_and_what_cannot_be_assessed(tmp_path: Path) -> Non
     assert (done.returncode, done.stderr) == (3, "")
     assert "  70 km/h, 0.3 m/s: red: Steering wheel velocity 41.7 °/s, limit 25.0 °/s\n" in done.stdout
     assert "  not assessable: overriding torque at most 3.0 Nm (+0.5): it needs a driver's torque" in done.stdout
+    assert "  3 of 4 conditions have to hold. 2 can be assessed, and 1 of these hold" in done.stdout
     page = page_at(tmp_path / "found" / "assessment.html")
     meanings = {"passes at every corner": 10, "passes as stated, fails at a corner": 8, "fails as stated": 12}
     assert {name: page.images.count(name) for name in page.images} == meanings
@@ -100,6 +102,30 @@ def test_lights_of_every_kind_and_what_cannot_be_assessed(tmp_path: Path) -> Non
     assert "70 km/h, 0.3 m/s: red. Steering wheel velocity 41.7 °/s, limit 25.0 °/s." in words
     lights = Counter((row["light"], row["predicted"]) for row in rows(tmp_path / "found" / "predictions.csv"))
     assert lights == {("green", "pass"): 20, ("amber", "pass"): 16, ("red", "fail"): 24}
+
+
+def test_a_plant_with_a_driver_is_assessed_with_it(tmp_path: Path) -> None:
+    """A study requires it, and its report says how many conditions hold, and with which driver."""
+    text = STUDY.replace(f'"{ROAD_EDGE} >= 0.9", "tail_0.8 <= 0.01"', f'"{DRIVEABILITY} >= 0.5", "acceptable"')
+    driver = "[plant]\ndriver = { straight = 0.75, against = 0.25 }\n[ranking]"
+    (tmp_path / "s.toml").write_text(text.replace("[ranking]", driver), encoding="utf-8")
+    said = ldc("assess", "s.toml", "--design", LQR, "--standard", DRIVEABILITY, "--no-tolerances", cwd=tmp_path).stdout
+    assert "3 of 4 conditions have to hold. 4 can be assessed" in said
+    assert "With the driver model of [plant.driver] (grip; straight 75 %, against 25 %)" in said.replace("\u00a0", " ")
+    assert "not assessable" not in said
+    bends = ldc("assess", "s.toml", "--design", LQR, "--standard", "un-r79-b1", "--no-tolerances", cwd=tmp_path).stdout
+    torque, time = "the overriding torque is the largest one", "the time against the driver is the longest"
+    assert [text in said for text in (torque, time)] == [True, True]
+    assert [text in bends for text in (torque, time)] == [True, False]
+    ldc("run", "s.toml", "-o", "out", "--workers", 1, "--no-robustness", "--no-figures", cwd=tmp_path)
+    page = page_at(tmp_path / "out" / "report.html")
+    words = page.words("standards")
+    assert "3 of 4 conditions have to hold. 4 can be assessed" in words
+    assert "Overriding torque [N·m]; Against the driver once parallel [s]" in words
+    metrics = {row[0] for row in page.captioned("All metrics")}
+    assert {"Peak driver torque, 95 % quantile", "Overridden by the driver"} <= metrics
+    header = (tmp_path / "out" / "ranking.csv").read_text(encoding="utf-8").partition("\n")[0].split(",")
+    assert {"driver_torque_peak_p95_N_m", "driver_torque_peak_p95_low_N_m", "overridden_mean"} <= set(header)
 
 
 def test_no_control_fails(tmp_path: Path) -> None:
@@ -183,8 +209,11 @@ def test_a_study_that_requires_the_whole_standard(few: tuple[Path, str], tmp_pat
     plain = "\n".join(line for line in STUDY.splitlines() if not line.startswith("require"))
     (tmp_path / "plain.toml").write_text(plain, encoding="utf-8")
     good("run", "plain.toml", "-o", "out", "--workers", 1, cwd=tmp_path)
-    assert "standards" not in page_at(tmp_path / "out" / "report.html").text
-    assert "euroncap" not in (tmp_path / "out" / "ranking.csv").read_text(encoding="utf-8")
+    assert "standards" not in (page := page_at(tmp_path / "out" / "report.html")).text
+    assert not re.search("river torque|once parallel|verridden|hand-over", " ".join(page.text.values()))
+    table = (tmp_path / "out" / "ranking.csv").read_text(encoding="utf-8")
+    assert not any(word in table for word in ("euroncap", "driver_torque", "against_", "overridden", "handover"))
+    assert "ranking.require: 'acceptable' needs a driver" in bad("rank", "out", "--require", "acceptable", cwd=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -283,5 +312,7 @@ def test_a_trigger_by_time_is_another_study_and_a_steering_ratio_is_not() -> Non
         return Study.from_dict(content | {name: content[name] | given for name, given in parts.items()}).hash
 
     assert hash_of() == hash_of(vehicle={"steering_ratio": 17.5}) == "7a10440d159a32f4"
+    driver = {"driver": {"straight": 1.0}}
+    assert len({hash_of(plant=driver, vehicle={"steering_ratio": ratio}) for ratio in (15.0, 17.5)}) == 2
     by_time = {ttlc: hash_of(simulation={"trigger": "ttlc", "ttlc": ttlc}) for ttlc in (1.0, 0.8)}
     assert len({"7a10440d159a32f4", *by_time.values()}) == 3

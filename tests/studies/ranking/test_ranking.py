@@ -13,10 +13,11 @@ import scipy.stats
 
 from helpers.bits import assert_same_bits
 from helpers.results import results_of as given_results
-from ldctoolkit import EventStatus, Scenarios, simulate
+from ldctoolkit import EventStatus, Scenarios, Setup, simulate
 from ldctoolkit.controllers import NoControl
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.metrics import RELEASE_METRICS, MetricValues
+from ldctoolkit.plant_options import Driver, PlantOptions
 from ldctoolkit.studies import Design, Ranking, StudyResults
 from ldctoolkit.studies.ranking.inference import bootstrap_means, check_confidence
 from ldctoolkit.studies.ranking.ranking import write_csv
@@ -36,6 +37,9 @@ def results_of(
 
 
 pytestmark = pytest.mark.usefixtures("laws")
+
+
+HANDS = Setup(options=PlantOptions(driver=Driver(straight=1.0)))
 
 
 def rank(results: StudyResults, **settings: object) -> Ranking:
@@ -180,6 +184,17 @@ def by_hand(results: StudyResults, i: int) -> dict[str, float]:
         "delta_rate_peak_max_rad_s": max(of("delta_rate_peak")),
         "effort_mean_rad2_s": sum(of("effort")) / len(acted),
         "travel_mean_rad": sum(of("travel")) / len(acted),
+        "driver_torque_peak_mean_N_m": sum(of("driver_torque_peak")) / len(acted),
+        "driver_torque_peak_p95_N_m": quantile(of("driver_torque_peak"), 0.95),
+        "driver_torque_peak_max_N_m": max(of("driver_torque_peak")),
+        "driver_torque_mean_mean_N_m": sum(of("driver_torque_mean")) / len(acted),
+        "against_time_mean_s": sum(of("against_time")) / len(acted),
+        "against_time_p95_s": quantile(of("against_time"), 0.95),
+        "against_parallel_p95_s": quantile(of("against_parallel"), 0.95),
+        "against_parallel_max_s": max(of("against_parallel")),
+        "overridden_mean": sum(of("overridden")) / len(acted),
+        "handover_step_p95_N_m": quantile(of("handover_step"), 0.95),
+        "handover_step_max_N_m": max(of("handover_step")),
     }
     for name in ("a_y_peak", "jerk_peak", "a_y_added_peak", "jerk_added_peak"):
         unit = "m_s3" if "jerk" in name else "m_s2"
@@ -198,7 +213,7 @@ def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_
     t_back = np.where(generator.random(results.status.shape) < 0.2, np.inf, results.metrics.t_back)
     t_back[3] = np.inf  # not back after most: the median is infinite too
     metrics = dataclasses.replace(results.metrics, t_back=t_back)
-    results = dataclasses.replace(results, scenarios=scenarios, metrics=metrics, status=status)
+    results = dataclasses.replace(results, scenarios=scenarios, metrics=metrics, status=status, setup=HANDS)
     ranking = rank(results)
     write_csv(ranking, tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
@@ -222,7 +237,7 @@ def test_who_never_acts_has_no_figures_of_interventions(scores: np.ndarray) -> N
     results = results_of(scores[:1], left=150, law="toy")
     results = dataclasses.replace(results, status=np.full_like(results.status, EventStatus.NEVER_TRIGGERED))
     for figures in (baseline, rank(results).metrics.beside):
-        empty = {name for name in RELEASE_METRICS if np.isnan(figures[name]).all()}
+        empty = {name for name, values in figures.items() if np.isnan(values).all()}
         assert empty == {
             "opposite_crossed_share", "opposite_crossing_max", "back_inside", "t_back_median", "comfortable",
             "delta_peak_max", "delta_rate_peak_max", "effort_mean", "travel_mean", "gain_margin", "phase_margin",
@@ -239,7 +254,7 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
     status[1, [3, 200]] = status[2, 399] = EventStatus.INVALID
     for array in (S, *(getattr(results.metrics, f.name) for f in dataclasses.fields(MetricValues))):
         array[1, [3, 200]] = array[2, 399] = np.nan
-    results = dataclasses.replace(results, status=status, S=S)
+    results = dataclasses.replace(results, status=status, S=S, setup=HANDS)
     ranking = rank(results)
     kept = np.setdiff1d(np.arange(400), [3, 200, 399])
     few = rank(results.take(np.isin(np.arange(400), kept)))

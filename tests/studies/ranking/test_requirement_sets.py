@@ -14,9 +14,9 @@ import ldctoolkit.studies.measures as measures
 from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios, Setup, simulate
 from ldctoolkit.controllers import LQR, PID, LinearMPC, NoControl, PreviewProportional
-from ldctoolkit.errors import StudyError, UnknownNameError
+from ldctoolkit.errors import InputError, StudyError, UnknownNameError
 from ldctoolkit.metrics import comfortable_share
-from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Tyres
+from ldctoolkit.plant_options import Actuator, Driver, Mismatch, PlantOptions, Tyres
 from ldctoolkit.review import design_margins, review
 from ldctoolkit.studies import Study, rank_study, run_study
 from ldctoolkit.studies.cli import main
@@ -105,6 +105,63 @@ def test_studies_take_sets_by_name(tmp_path: Path) -> None:
     results = run_study(study, directory=tmp_path / "s", workers=1, progress=False)
     ranking = rank_study(results, study)
     assert ranking.require == ("a_y_added_peak_p95 <= 3", "jerk_added_peak_p95 <= 5", "S <= 5")
+
+
+# ------------------------------------------------------------------------------------------------ a driver
+HANDS = Setup(options=PlantOptions(driver=Driver(against=0.5, straight=0.5)))
+DRIVEN = ("driver_torque", "against_", "overridden", "handover")
+
+
+def test_acceptable_asks_what_euro_ncap_asks_of_the_override() -> None:
+    texts = ["driver_torque_peak_p95 <= 3", "against_parallel_max <= 1", "handover_step_p95 <= 1"]
+    assert [one.text for one in requirements_of(["acceptable"])] == texts
+    results = results_of(
+        [9.0, 1.0, 2.0, 3.0], driver_torque_peak=[0, 3.2, 2.9, 2.9], against_parallel=[0, 0.5, 1.0, 0.5],
+        handover_step=[0, 1.0, 1.0, 1.1],
+    )  # fmt: skip
+    ranking, _ = ranked(dataclasses.replace(results, setup=HANDS), "acceptable", setup=HANDS)
+    assert [design.label for design in ranking.designs] == [DESIGNS[i].label for i in (2, 0, 1, 3)]
+    assert [len(some) for some in ranking.missed] == [0, 0, 1, 1]
+    assert ranking.missed[2][0].text == "Peak driver torque, 95 % quantile 3.20 N·m, limit 3.00 N·m (1.1 times)"
+
+
+def test_metrics_of_a_driver_are_those_of_a_plant_with_one() -> None:
+    """Without one they are no column, no limit and no requirement, whatever the stored numbers are."""
+    numbers = {"driver_torque_peak": [0, 3.2, 2.9, 2.9]}
+    results = results_of([9.0, 1.0, 2.0, 3.0], n=100, **numbers)
+    for setup, there in ((Setup(), False), (HANDS, True), (None, False)):
+        given = dataclasses.replace(results, setup=setup)
+        ranking, _ = ranked(given)
+        for columns in (ranking.to_polars().columns, given.to_polars().columns, list(ranking.metrics.beside)):
+            assert any(column.startswith(DRIVEN) for column in columns) == there
+        assert ("acceptable" in {limit.set for limit in ranking.limits}) == there
+        beyond = "Not required, but beyond acceptable: Peak driver torque, 95 % quantile 3.20 N·m, limit 3.00"
+        assert light(verdict(ranking, given, setup), "Limits")[1].startswith(beyond if there else "Meets comfort.")
+        if not there:
+            for asked in ({"require": ["driver_torque_peak_p95 <= 3"]}, {"pareto": ["S", "overridden_share"]}):
+                with pytest.raises(InputError) as caught:
+                    Ranking.of(given, bootstrap=100, **asked)
+                assert "[plant.driver]" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("table", "content", "value"),
+    [
+        ("ranking.require", {"ranking": {"require": ["comfort", "acceptable"]}}, "acceptable"),
+        ("ranking.require", {"ranking": {"require": "driver_torque_peak_p95_N_m <= 3"}}, "driver_torque_peak_p95 <= 3"),
+        ("ranking.require", {"ranking": {"require": "overridden_share <= 0.5"}}, "overridden_mean <= 0.5"),
+        ("ranking.pareto", {"ranking": {"pareto": ["S", "handover_step_max"]}}, "handover_step_max"),
+        ("search.objectives", {"search": {"objectives": "against_time_mean"}}, "against_time_mean"),
+        ("ranking.pareto", {"search": {"objectives": ["S", "against_time_mean"]}}, "against_time_mean"),
+    ],
+)
+def test_what_needs_a_driver_is_refused_without_one(table: str, content: dict[str, Any], value: str) -> None:
+    content = {"name": "s", "design": [{"law": "lqr"}], **content}
+    with pytest.raises(StudyError) as caught:
+        Study.from_dict(content)
+    assert (caught.value.path, caught.value.value) == (f"study: {table}", value)
+    assert "[plant.driver]" in caught.value.hint
+    assert Study.from_dict(content | {"plant": {"driver": {"recorded": 1.0}}})
 
 
 # ------------------------------------------------------------------------------------------------ margins

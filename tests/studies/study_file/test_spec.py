@@ -305,6 +305,17 @@ bandwidth = 0.5
 [[design]]
 law = "toy"
 """
+# both models of the driver: keys of one are refused beside the other
+HANDS = {
+    "recorded": 0.2, "straight": 0.2, "follows": 0.2, "against": 0.2, "returns": 0.2, "reaction": [0.4, 1.1],
+    "across": [0.2, 0.7], "frequency": [0.7, 1.1], "return_damping": 0.7, "assist_stiffness": 50.0, "torque_max": 6.0,
+    "override_torque": 2.5, "override_time": 0.3, "ramp": 0.4, "return_after": 1.0,
+}  # fmt: skip
+GRIP = HANDS | {"grip": [0.3, 0.4], "arm_lag": 0.1}
+ARMS = HANDS | {
+    "model": "arms", "stiffness": [15.0, 30.0], "damping": 2.0, "inertia": 0.08, "assist_damping": 3.0,
+    "wheel_inertia": 0.12, "wheel_damping": 0.5, "trail": 0.05, "boost": 0.5,
+}  # fmt: skip
 
 
 def leaves(value: Any, path: str = "") -> dict[str, Any]:
@@ -319,13 +330,19 @@ def test_every_key_of_the_plant_is_read_and_told(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(EVERY_OPTION)
     study = Study.from_toml(tmp_path / "s.toml")
     assert study.simulation.settle == 2.0
-    written = leaves(tomllib.loads(EVERY_OPTION)["plant"])
-    read = leaves(json.loads(json.dumps(dataclasses.asdict(study.plant))))
-    assert read == written
+    content = tomllib.loads(EVERY_OPTION)
     ideal = leaves(json.loads(json.dumps(dataclasses.asdict(PlantOptions()))))
-    assert not [key for key, value in read.items() if value == ideal.get(key)]
-    told = dict(plant_settings(study.plant))
-    assert (set(told), told["actuator.rate_max"], told["mismatch.m"]) == (set(read), "1 rad/s", "0.9 to 1.2")
+    seen = set()
+    for driver in (GRIP, ARMS):
+        plant = Study.from_dict(content | {"plant": content["plant"] | {"driver": driver}}).plant
+        written = leaves(content["plant"] | {"driver": driver})
+        read = leaves(json.loads(json.dumps(dataclasses.asdict(plant))))
+        assert read == {key: ideal[key] for key in read if key.startswith("driver.")} | written
+        assert not [key for key, value in written.items() if value == ideal.get(key)]
+        told = dict(plant_settings(plant))
+        assert (set(told), told["actuator.rate_max"], told["mismatch.m"]) == (set(written), "1 rad/s", "0.9 to 1.2")
+        seen |= set(written)
+    assert seen == set(read)
 
 
 def test_the_plant_is_ideal_unless_the_study_says_otherwise(make_study: Callable[..., Study]) -> None:
