@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -17,8 +17,8 @@ from ldctoolkit.control import EventStatus, SteeringLaw
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import raised
-from ldctoolkit.metrics import comfortable_share
-from ldctoolkit.plant_options import Mismatch, PlantOptions, Tyres
+from ldctoolkit.metrics import DRIVER_METRICS, comfortable_share
+from ldctoolkit.plant_options import Driver, Mismatch, PlantOptions, Tyres
 from ldctoolkit.review import design_margins
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -130,8 +130,8 @@ def _on_vehicle(
 
 
 def on_model(setup: Setup, model: VehicleModel) -> Setup:
-    """The setup with a vehicle model, which brings its own mass and tyres."""
-    options = dataclasses.replace(setup.options, mismatch=Mismatch(), tyres=Tyres())
+    """The setup with a vehicle model, which brings its own mass and tyres; nobody holds its wheel."""
+    options = dataclasses.replace(setup.options, mismatch=Mismatch(), tyres=Tyres(), driver=Driver())
     kept: dict[str, Any] = {"convention": "consistent", "start": "steady"}
     return dataclasses.replace(setup, options=options, vehicle_model=model, **kept)
 
@@ -147,6 +147,7 @@ class Drives:
     status: npt.NDArray[np.int8]  # (p, d, n) `ldctoolkit.EventStatus`
     # (p, d) [1] Share of the interventions within both limits of ISO 11270; NaN without any, and where the law raised
     comfortable: FloatArray
+    driver: Mapping[str, FloatArray]  # Of each of `DRIVER_METRICS` (p, d, n); NaN without a driver
     raised: tuple[tuple[int, int, str], ...]  # Plant, design and error of each law that raised
 
 
@@ -175,6 +176,7 @@ def drive_on_plants(
     S, S_uncorrected = np.full(shape, np.nan), np.full(shape, np.nan)
     status = np.full(shape, EventStatus.INVALID, dtype=np.int8)
     comfortable = np.full(shape[:2], np.nan)
+    driver = {name: np.full(shape, np.nan) for name in DRIVER_METRICS}
     failed = []
     for k, plant in enumerate(plants):
         takeovers: dict[float, Takeover] = {}  # of one plant only: tables of a takeover are large
@@ -200,7 +202,9 @@ def drive_on_plants(
                 failed.append((k, i, "S is not finite in some scenario"))
                 continue
             acted = ~status_among(outcome.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+            for name, values in driver.items():
+                values[k, i] = getattr(outcome.metrics, name)
             if not design.is_baseline:
                 peaks = outcome.metrics
                 comfortable[k, i] = comfortable_share(peaks.a_y_added_peak, peaks.jerk_added_peak, acted)
-    return Drives(S, S_uncorrected, status, comfortable, tuple(failed))
+    return Drives(S, S_uncorrected, status, comfortable, driver, tuple(failed))

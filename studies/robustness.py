@@ -17,7 +17,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.clusters import cluster_error, several, with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
-from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.plant_options import Actuator, Driver, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -27,13 +27,16 @@ from ldctoolkit.version import versions
 
 from .design import Design, is_paper_design
 from .measures import drive_on_plants, first_of_each_side, on_model, trigger_speeds
-from .ranking.design_metrics import beyond_friction
+from .ranking.design_metrics import beyond_friction, masked_mean, masked_quantile
 from .ranking.inference import SAME, degrees_of_freedom, error_parts, half_widths, lengths, row_means, spread_is_known
-from .ranking.verdict import OtherPlants
+from .ranking.verdict import Light, OtherPlants, design_name
+from .results import status_among
 from .standards import VEHICLES
 from .storage.folder_files import read_fields, write_fields
+from .text import percent
 
 if TYPE_CHECKING:
+    from .ranking.finalists import RankedDesigns
     from .ranking.ranking import Ranking
     from .results import StudyResults
 
@@ -71,9 +74,9 @@ class OtherPlant:
 
 
 def other_plants(options: PlantOptions) -> tuple[OtherPlant, ...]:
-    """The variations of a study's plant: first the harder ones, then the easier ones."""
+    """The variations of a study's plant: first the harder ones, then those with other drivers, then the easier ones."""
     seen, plants = [options], []
-    for adds, rows in ((True, _harder(options)), (False, _easier(options))):
+    for adds, rows in ((True, _harder(options)), (False, _drivers(options)), (False, _easier(options))):
         for name, title, what, changes in rows:
             changed = dataclasses.replace(options, **changes)
             if changed not in seen:
@@ -173,6 +176,27 @@ def _worse_camera(sensors: Sensors) -> Iterator[_Row]:
         yield "filter", "Camera with filter", what, with_changes(kalman=real.kalman, **noise)
 
 
+DRIVER: Final = "driver-"  # begins the names of plants with one kind of driver
+DRIVERS: Final = {
+    "recorded": "steers on along the recorded path",
+    "straight": "holds the wheel as it was at the trigger",
+    "follows": "gives way after the reaction time",
+    "against": "means to leave the lane",
+    "returns": "corrects after the reaction time",
+}
+LEAVES: Final = "against"  # the departure is wanted: a small S is no merit of a design, and does not order designs
+
+
+def _drivers(options: PlantOptions) -> Iterator[_Row]:
+    """Rows of plants whose drivers are of one kind; none where nobody holds the wheel of the study's plant."""
+    if not options.driver.ideal:
+        yield f"{DRIVER}nobody", "Driver: nobody", "hands off the wheel", {"driver": Driver()}
+        for name, what in DRIVERS.items():
+            shares: dict[str, Any] = {intent: float(intent == name) for intent in DRIVERS}
+            driver = dataclasses.replace(options.driver, **shares)
+            yield f"{DRIVER}{name}", f"Driver: {name}", what, {"driver": driver}
+
+
 def _easier(options: PlantOptions) -> Iterator[_Row]:
     """Rows of plants that lack one of the study's difficulties each."""
     sensors = options.sensors
@@ -252,7 +276,7 @@ def lower_ends(
     return np.asarray(row_means(change) - np.where(changed == 0, 0.0, np.where(unknown, np.nan, half)))
 
 
-_FORMAT: Final = 3  # raise it with every change of the numbers or of the file
+_FORMAT: Final = 4  # raise it with every change of the numbers or of the file
 
 
 PER_SIDE: Final = 50
@@ -276,9 +300,12 @@ class Robustness(OtherPlants):
     # Scenarios of each side
     left: int
     right: int
-    # (p,) [m s] Lower end of the interval of the paired difference between the reference and the best other ranked
-    # design: above 0 where that design is better. NaN where there is none, and where too few scenarios differ
-    behind: FloatArray
+    # (2, p, d) [m s] Ends of the intervals of mean S, and of `difference`; NaN where too few scenarios differ
+    S_ends: FloatArray
+    difference_ends: FloatArray
+    # (4, p, d) Over the interventions, NaN without a driver: mean and 95 % quantile of the driver's peak torque [N m],
+    # mean time against the driver [s], share that was overridden
+    felt: FloatArray
     raised: tuple[tuple[int, int, str], ...]  # Positions of plant and design, and the error, of laws that raised
     v: FloatArray  # (k,) [m/s] Speeds of the margins
     # (d, k) Gain margin on the study's plant as a factor: 0 where the loop is unstable, NaN where there is none
@@ -289,6 +316,59 @@ class Robustness(OtherPlants):
     def n(self) -> int:
         """Number of scenarios."""
         return self.left + self.right
+
+    @property
+    def difference(self) -> FloatArray:
+        """Paired difference of mean S to the reference, (p, d) [m s]: above 0 where the design is worse."""
+        return self.S - self.S[:, :1]
+
+    def rival(self, p: int) -> int | None:
+        """The ranked design with the smallest S on a plant apart from the reference; None if an S is not known."""
+        S = np.where(self.contends, self.difference[p], np.nan)[1:]
+        return 1 + int(np.nanargmin(S)) if np.isfinite(S).any() else None
+
+    @property
+    def behind(self) -> FloatArray:
+        """Lower ends (p,) of the differences of the reference to its rivals [m s]: above 0 where these are better."""
+        rivals = ((p, self.rival(p)) for p in range(len(self.plants)))
+        return np.array([math.nan if i is None else -self.difference_ends[1, p, i] for p, i in rivals])
+
+    @property
+    def drivers(self) -> dict[str, int]:
+        """The plants with one kind of driver other than the study's, by its name."""
+        return {name.removeprefix(DRIVER): p for p, name in enumerate(self.plants) if name.startswith(DRIVER)}
+
+    def of_mix(self, driver: Driver) -> dict[str, int]:
+        """Each intent that has a share among the study's drivers, and the plant on which all have it."""
+        return {name: self.drivers.get(name, 0) for name in DRIVERS if getattr(driver, name)}
+
+    def driver_light(self, ranking: RankedDesigns, position: int, driver: Driver) -> Light | None:
+        """Amber where another ranked design is first with a driver of the mix who means to stay in the lane.
+
+        It counts if it is certain, or if by mean S the order is another than with all drivers together.
+        """
+        if self.designs[0] != ranking.designs[position].id:
+            return None
+        names = {design.id: design_name(design) for design in ranking.designs}
+        leads = (top := self.rival(0)) is not None and self.difference[0, top] >= 0
+        first, ahead, even, leaving = [], [], "", ""
+        for intent, p in self.of_mix(driver).items():
+            if intent == LEAVES:
+                torque, share = float(self.felt[1, p, 0]), percent(float(self.felt[3, p, 0]), 0)
+                leaving = f" With {intent} torque counts: 95 % of the peaks to {torque:.1f} N m, {share} overridden."
+            elif (i := self.rival(p)) is not None:
+                less, low, high = -self.difference[p, i], *-self.difference_ends[::-1, p, i]
+                if low > 0 or (less > 0 and leads):
+                    apart = f"{low:.3f} to {high:.3f}" if low > 0 else "not separated"
+                    ahead.append(f"with {intent} {names[self.designs[i]]}, S {less:.3f} m s less ({apart})")
+                else:
+                    first.append(intent)
+                    even = " or not separated from it" if less > 0 else even
+        if ahead:
+            return Light("Driver", "warning", f"Another design is first {'; '.join(ahead)}.{leaving}")
+        if first:
+            return Light("Driver", "good", f"First{even} with each driver of the mix: {', '.join(first)}.{leaving}")
+        return Light("Driver", "unknown", f"There is nothing to compare its S with.{leaving}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -321,7 +401,8 @@ class RobustnessTask:
         for own in vehicles:
             if isinstance(own, VehicleModel) and own != model:
                 name = type(own).__name__
-                what = f"vehicle model {own!r} in place of the study\u2019s vehicle"
+                hands_off = "" if setup.options.driver.ideal else ", hands off the wheel"
+                what = f"vehicle model {own!r} in place of the study\u2019s vehicle{hands_off}"
                 if same := sum(plant.title.split()[:2] == ["Vehicle", name] for plant in plants):
                     name = f"{name} {same + 1}"
                 plants.append(
@@ -368,8 +449,20 @@ def work_out(task: RobustnessTask) -> Robustness:
     ran = np.any(known, axis=2)
     rows = np.all(known[ran], axis=0)
     S, S_uncorrected, status = drives.S[:, :, rows], drives.S_uncorrected[:, :, rows], drives.status[:, :, rows]
-    mean = _means(S)
-    side = task.scenarios.side[rows]
+    mean, shape, side = _means(S), S.shape[:2], task.scenarios.side[rows]
+    acted = ~status_among(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID)).reshape(mean.size, S.shape[2])
+
+    def ends(values: FloatArray) -> FloatArray:
+        flat, cluster = values.reshape(acted.shape), task.scenarios.take(rows).cluster
+        none = np.zeros_like(flat)
+        low, high = (lower_ends(*pair, side, CONFIDENCE, cluster) for pair in ((none, flat), (flat, none)))
+        return np.stack([low, -high]).reshape(2, *shape)
+
+    def felt(name: str, share: float | None = None) -> FloatArray:
+        values = drives.driver[name][:, :, rows].reshape(acted.shape)
+        return masked_mean(values, acted) if share is None or not rows.any() else masked_quantile(values, acted, share)
+
+    feelings = (felt("driver_torque_peak"), felt("driver_torque_peak", 0.95), felt("against_time"), felt("overridden"))
     thresholds = dict.fromkeys(design.y_s for design in selection.designs if not design.is_baseline)
     takeovers = [Takeover.build(task.scenarios, setup, y_s=y_s) for y_s in thresholds]
     slowest, fastest = trigger_speeds(takeovers) or (SPEEDS[0], SPEEDS[-1])
@@ -394,7 +487,9 @@ def work_out(task: RobustnessTask) -> Robustness:
         S=mean,
         diverged=((status == EventStatus.DIVERGED) & allowed[:, None, rows]).sum(axis=2, dtype=np.int64),
         excess=_means(S - S_uncorrected),
-        behind=_behind(S, mean, contends, task.scenarios.take(rows)),
+        S_ends=np.maximum(ends(S), 0.0),
+        difference_ends=ends(S - S[:, :1]),
+        felt=np.stack(feelings).reshape(4, *shape),
         raised=drives.raised,
         v=v,
         gain=gain,
@@ -407,19 +502,6 @@ def _means(values: FloatArray) -> FloatArray:
     if not values.shape[2]:
         return np.full(values.shape[:2], np.nan)
     return row_means(values.reshape(-1, values.shape[2])).reshape(values.shape[:2])
-
-
-def _behind(S: FloatArray, mean: FloatArray, contends: BoolArray, scenarios: Scenarios) -> FloatArray:
-    """`Robustness.behind` from scores (p, d, n) and their means (p, d)."""
-    low = np.full(len(S), np.nan)
-    others = np.where(contends[None, 1:] & ~np.isnan(mean[:, 1:]), mean[:, 1:], np.inf)
-    comparable = (
-        np.isfinite(others).any(axis=1) & ~np.isnan(mean[:, 0]) if others.size else np.zeros(len(S), dtype=np.bool_)
-    )
-    if comparable.any():
-        rival = S[comparable, 1 + others[comparable].argmin(axis=1)]
-        low[comparable] = lower_ends(rival, S[comparable, 0], scenarios.side, CONFIDENCE, scenarios.cluster)
-    return low
 
 
 NAME: Final = "robustness.json"

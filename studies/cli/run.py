@@ -26,7 +26,8 @@ def add_parser(commands: Subparsers) -> None:
         "only what is missing. Exit code 3: done, but the law of some design failed; the ranking and the report name "
         "it.",
     )
-    about = "name in the catalog (ideal, paper, reality, road-edge, trigger-and-gains, zoo, zoo-sweep) or a TOML file"
+    names = "driver, ideal, paper, reality, road-edge, trigger-and-gains, zoo, zoo-sweep"
+    about = f"name in the catalog ({names}) or a TOML file"
     parser.add_argument("study", nargs="?", metavar="STUDY", help=about)
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")

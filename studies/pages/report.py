@@ -78,6 +78,7 @@ SECTIONS: Final[tuple[Callable[[Context], Section | None], ...]] = (
     landscape_section.section,
     explorer.section,
     robustness_section.section,
+    robustness_section.driver_section,
     confidence_section.section,
     model_section.section,
     settings_section,

@@ -11,6 +11,7 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.declared import Gain
 from ldctoolkit.metrics import METRICS
 from ldctoolkit.paths.uncorrected import UncorrectedPath
+from ldctoolkit.plant_options import Driver
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import misleading
 from ldctoolkit.setup import Setup
@@ -31,6 +32,15 @@ _NEAREST: Final = 3
 
 
 @dataclasses.dataclass(frozen=True)
+class Light:
+    """A light: its subject, its state and the reason."""
+
+    name: str
+    state: State
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
 class OtherPlants:
     """The part of `ldctoolkit.studies.robustness.Robustness` for a verdict: d designs, p plants, the study's first."""
 
@@ -43,14 +53,8 @@ class OtherPlants:
     # (p, d) [m s] Paired difference of mean S to no control on the same plant, above 0 where the design is worse
     excess: FloatArray
 
-
-@dataclasses.dataclass(frozen=True)
-class Light:
-    """A light: its subject, its state and the reason."""
-
-    name: str
-    state: State
-    text: str
+    def driver_light(self, ranking: RankedDesigns, position: int, driver: Driver) -> Light | None:
+        """Whether a design is the first with each driver; None where designs were not driven with each."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,6 +169,7 @@ def verdict(
         _stable_light(ranking, position),
         _limits_light(ranking, position),
         _plants_light(ranking, position, robustness),
+        *_driver_light(ranking, position, setup.options.driver, robustness),
         *_tail_light(ranking, results, setup, position),
         *_scenarios_light(model),
     )
@@ -363,6 +368,15 @@ def _plants_light(ranking: RankedDesigns, position: int, robustness: OtherPlants
     return Light(name, "warning" if most > 1.5 else "good", text)
 
 
+def _driver_light(
+    ranking: RankedDesigns, position: int, driver: Driver, robustness: OtherPlants | None
+) -> Iterator[Light]:
+    """The light of the drivers; no light where nobody holds the wheel."""
+    if not driver.ideal:
+        light = None if robustness is None else robustness.driver_light(ranking, position, driver)
+        yield light or Light("Driver", "unknown", "Not compared with each driver.")
+
+
 def optimism_text(ranking: RankedDesigns, i: int, unit: str = "m s") -> str:
     """Compare the score of a design on fresh scenarios with that on the study scenarios, which selected it."""
     change, low, high = ranking.fresh.optimism[i], ranking.fresh.optimism_low[i], ranking.fresh.optimism_high[i]
@@ -503,18 +517,10 @@ def ranking_table(ranking: RankedDesigns, positions: Sequence[int], times: StepT
     rows = []
     for before, i in zip([-1, *positions], positions, strict=False):
         design, missed = ranking.designs[i], {miss.requirement.metric.name for miss in ranking.missed[i]}
-        rank, S, low, high, fresh = (
-            float(values[i])
-            for values in (
-                ranking.rank,
-                ranking.metrics.S,
-                ranking.inference.S_low,
-                ranking.inference.S_high,
-                ranking.fresh.S,
-            )
-        )
+        S_of = (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high, ranking.fresh.S)
+        S, low, high, fresh = (float(values[i]) for values in S_of)
         cells: list[Cell | Value] = [
-            int(rank) or math.nan, law_title(design), design.y_s, gains_text(design, "="),
+            int(ranking.rank[i]) or math.nan, law_title(design), design.y_s, gains_text(design, "="),
             *(Cell(float(values[i]), bad=name in missed) for name, values in shown.items()), S, (low, high),
             *(Cell(float(values[i]), bad=name in missed) for name, values in metrics.items()),
             *([fresh] if ranking.fresh.scenarios else []),
@@ -544,11 +550,8 @@ def judged(ranking: RankedDesigns, position: int) -> str:
     failed = failures(ranking, position)
     if failed:
         phrases.append(f"failed in {failed:,}")
-    if (
-        not ranking.missed[position]
-        and position not in (ranking.winner, ranking.baseline)
-        and ranking.inference.set_of_best[position]
-    ):
+    separated = not ranking.inference.set_of_best[position]
+    if not (separated or ranking.missed[position] or position in (ranking.winner, ranking.baseline)):
         phrases.append("not separated")
     if ranking.pareto[position]:
         phrases.append("Pareto")
@@ -557,13 +560,8 @@ def judged(ranking: RankedDesigns, position: int) -> str:
 
 def failures(ranking: RankedDesigns, position: int) -> int:
     """Number of scenarios in which the law of a design failed."""
-    counts = (
-        ranking.metrics.solver_failed,
-        ranking.metrics.diverged,
-        ranking.metrics.timed_out,
-        ranking.metrics.crashed,
-    )
-    return sum(int(count[position]) for count in counts)
+    of = ranking.metrics
+    return sum(int(count[position]) for count in (of.solver_failed, of.diverged, of.timed_out, of.crashed))
 
 
 def listed_positions(ranking: RankedDesigns, most: int) -> list[int]:

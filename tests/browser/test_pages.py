@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 PAGES = (
     "ordinary", "hostile", "thousand", "zero-triggered", "one-design", "only-no-control", "left-only", "right-only",
-    "one-scenario", "all-failures", "nothing-ranked", "planning",
+    "one-scenario", "all-failures", "nothing-ranked", "planning", "driver",
 )  # fmt: skip
 
 
@@ -73,7 +73,7 @@ def test_one_address_leads_to_a_section(open_page: Callable[..., Any], built: An
     assert bar["y"] + bar["height"] <= heading["y"] < 400  # below the sticky list, not under it
 
 
-@pytest.mark.parametrize("name", ["ordinary", "hostile", "all-failures", "thousand"])
+@pytest.mark.parametrize("name", ["ordinary", "driver", "hostile", "all-failures", "thousand"])
 def test_prints(open_page: Callable[..., Any], built: Any, tmp_path: Path, name: str) -> None:
     page = open_page(built(name).path, dark=True)
     paper = page.pdf(format="A4", prefer_css_page_size=True)

@@ -56,6 +56,13 @@ y_s = [0.05, 0.1, 0.3]
 r_delta = [10.0, 100.0, 1000.0]
 """
 
+DRIVER = """
+[plant.driver]
+straight = 0.5
+recorded = 0.25
+against = 0.25
+"""
+
 EVIL = "<script>alert(1)</script>"  # a name that must stay text
 HEBREW = "\u05d0\u05d1\u05d2"  # text that is read from the right to the left
 
@@ -127,6 +134,7 @@ class Made:
         self._makers: dict[str, Callable[[Path], Path]] = {
             "ordinary": lambda folder: self._study(folder, ORDINARY),
             "hostile": lambda folder: self._study(folder, HOSTILE),
+            "driver": lambda folder: self._study(folder, ORDINARY + DRIVER),
             "thousand": self._thousand,
             "zero-triggered": lambda folder: self._designs(
                 folder,

@@ -127,7 +127,7 @@ def test_without_a_model_recorded_departures_are_replayed(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "init: give a study of the catalog, --law or --data-sheet; allowed: ideal, my-vehicle, paper, "),
+        ([], "init: give a study of the catalog, --law or --data-sheet; allowed: driver, ideal, my-vehicle, paper, "),
         (["papr"], "study: 'papr' is not in the catalog; did you mean 'paper'?"),
         (["there.toml"], "study: 'there.toml' is not in the catalog"),
         (["--law", "lqq"], "did you mean 'lqr'?"),
@@ -153,8 +153,8 @@ def test_run_without_a_study_names_the_next_step(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (
         "ldc: error: STUDY is missing: a name in the catalog, or a TOML file\n"
-        "  in the catalog: ideal, my-vehicle, paper, paper-as-printed, reality, road-edge, trigger-and-gains, zoo, "
-        "zoo-sweep\n"
+        "  in the catalog: driver, ideal, my-vehicle, paper, paper-as-printed, reality, road-edge, trigger-and-gains, "
+        "zoo, zoo-sweep\n"
         "  ldc run trigger-and-gains                runs one of them\n"
         "  ldc init trigger-and-gains -o my.toml    writes it to a file, a comment at every key\n"
         "  ldc run my.toml                          runs that file\n"

@@ -12,10 +12,11 @@ import pytest
 from helpers.browser_pages import HOSTILE, ORDINARY, Made
 from helpers.pages import EVIL, Page
 from helpers.results import SECTIONS, grid, invented_scenarios, only, page_of, report_input, run, said_in, scored
-from ldctoolkit import EventStatus
+from ldctoolkit import EventStatus, PlantOptions, Setup
 from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import METRICS
+from ldctoolkit.plant_options import Driver
 from ldctoolkit.studies.design import Design
 from ldctoolkit.studies.pages import (
     confidence_section,
@@ -27,6 +28,7 @@ from ldctoolkit.studies.pages import (
 from ldctoolkit.studies.pages.context import Context, ReportInput
 from ldctoolkit.studies.pages.report import report_page, settings_section, write_report
 from ldctoolkit.studies.results import FailedDesign, StudyResults
+from ldctoolkit.studies.robustness import RobustnessTask, work_out
 
 LIMITS = ("stable", "comfort", "physical")
 
@@ -282,6 +284,60 @@ def test_two_equal_designs_are_not_separated() -> None:
 
 def test_without_robustness_the_page_says_how_to_get_it(report: ReportInput) -> None:
     assert "leave --no-robustness out" in said_in(robustness_section.section, report)
+
+
+def test_a_report_without_a_driver_says_so_and_has_no_section(page: Page) -> None:
+    assert "driver" not in page.ids
+    assert "Nobody holds the wheel in this study" in page.words("robustness")
+    assert "docs/explanation/driver.md" in page.words("robustness")
+
+
+def test_without_robustness_the_light_of_the_driver_is_not_known(results: StudyResults) -> None:
+    page = page_of(report_input(results, setup=Setup(options=PlantOptions(driver=Driver(straight=1.0)))))
+    assert lights(page)["Driver"] == "unknown"
+    assert "leave --no-robustness out" in page.words("driver")
+    assert "Nobody holds the wheel" not in page.words("robustness")
+
+
+def test_the_section_with_a_driver_has_every_design_with_every_driver(results: StudyResults) -> None:
+    """Three laws; the numbers of the table are those of the file that the light is from."""
+    driver = Driver(straight=0.5, recorded=0.2, against=0.3, grip=(0.3, 0.3))
+    setup = Setup(options=PlantOptions(driver=driver))
+    designs = [Design.of(LQR(r_delta=100.0), 0.05), Design.of(PreviewProportional(), 0.05), Design.of(NoControl(), 0.2)]
+    report = report_input(run(designs, invented_scenarios(60, 40), options=setup.options), setup=setup)
+    found = work_out(RobustnessTask.of(report.results, report.ranking, setup, per_side=10))
+    page = page_of(dataclasses.replace(report, robustness=found))
+    assert list(lights(page)) == ["Score", "Stable", "Limits", "Other plants", "Driver"]
+    words = page.words("driver")
+    assert "The study’s drivers: 20 % recorded, 50 % straight, 30 % against." in words
+    assert "on 20 of the study scenarios" in words
+    head, *rows = page.captioned("Kinds of drivers, 95 % intervals; against: the departure is wanted, torque counts")
+    assert head[:4] == ["Driver", "Law", "Place", "Mean S [m·s]"]
+    kinds = ["all together", "nobody", "recorded (20 %)", "straight (50 %)", "follows", "against (30 %)", "returns"]
+    assert [row[0] for row in rows] == [kind for kind in kinds for _ in range(2)]
+    laws = [row[1] for row in rows[:2]]
+    assert sorted(laws) == ["LQR", "Preview P"]
+    for (first, second), kind in zip(zip(rows[::2], rows[1::2], strict=True), kinds, strict=True):
+        p = found.drivers[kind.split(" (")[0]] if kind != "all together" else 0
+        assert [first[3], second[3]] == [f"{S:.3f}" for S in found.S[p, :2]]
+        assert (first[4], first[6]) == (f"{found.S_ends[0, p, 0]:.3f} to {found.S_ends[1, p, 0]:.3f}", "")
+        assert second[5].replace("−", "-") == f"{found.S[p, 1] - found.S[p, 0]:+.3f}"
+        low, high = found.difference_ends[:, p, 1]
+        assert second[6].replace("−", "-") == f"{low:+.3f} to {high:+.3f}"
+        places = ["1", "2"] if found.S[p, 0] < found.S[p, 1] else ["2", "1"]
+        assert [first[2], second[2]] == (["", ""] if "against" in kind else places)
+        felt = found.felt[:, p, 1] * [1.0, 1.0, 1.0, 100.0]
+        shown = (
+            ["–"] * 4 if kind == "nobody" else [f"{felt[0]:.2f}", f"{felt[1]:.2f}", f"{felt[2]:.2f}", f"{felt[3]:.0f}"]
+        )
+        assert second[7:] == shown
+    kept = [k for k in range(2) if len({rows[2 * kinds.index(kind) + k][2] for kind in kinds[:1] + kinds[2:4]}) == 1]
+    stay = ", ".join(f"{laws[k]} ({rows[k][2]})" for k in kept) or "none"
+    assert f"Laws that keep their place with recorded and straight: {stay}." in words
+    # the other plants are not mixed with drivers
+    others = [row[0] for row in page.captioned("Mean S on other plants")]
+    assert not [name for name in others if name.startswith("Driver")]
+    assert f"on {len(others) - 2} other plants, 20 of the study scenarios each" in page.words("robustness")
 
 
 def test_failed_designs_are_listed(results: StudyResults) -> None:

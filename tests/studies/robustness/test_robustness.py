@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,15 +16,27 @@ from helpers.closed_loop import known
 from helpers.results import results_of_outcomes
 from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, Setup, VehicleParameters, simulate
 from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
-from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.plant_options import (
+    INTENTS,
+    Actuator,
+    Driver,
+    KalmanFilter,
+    Mismatch,
+    PlantOptions,
+    Residuals,
+    Sensors,
+    Tyres,
+)
 from ldctoolkit.review import design_margins
 from ldctoolkit.studies.design import Design
 from ldctoolkit.studies.measures import drive_on_plants
 from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.ranking.verdict import Light
 from ldctoolkit.studies.results import StudyResults
 from ldctoolkit.studies.robustness import (
     MOST,
     NAME,
+    OtherPlant,
     Robustness,
     RobustnessTask,
     chosen_designs,
@@ -113,6 +126,131 @@ def test_a_design_that_other_plants_destroy_is_found(task: RobustnessTask, robus
     assert robustness.diverged[0].sum() == 0
     assert robustness.diverged[together, hard] > 0
     assert robustness.S[together, hard] > robustness.S[0, hard]
+
+
+# ------------------------------------------------------------------------------------------------ drivers
+
+
+MIX = Driver(straight=0.5, recorded=0.2, against=0.3, grip=(0.3, 0.3), torque_max=40.0)  # never at the limit
+
+
+def test_each_driver_of_a_study_is_a_plant_and_nobody_is_one() -> None:
+    def named(options: PlantOptions) -> dict[str, OtherPlant]:
+        return {plant.name: plant for plant in other_plants(options) if plant.name.startswith("driver-")}
+
+    assert not named(PlantOptions())
+    options = PlantOptions(driver=MIX, actuator=Actuator(lag=0.1))
+    plants = named(options)
+    assert list(plants) == [f"driver-{name}" for name in ("nobody", *INTENTS)]
+    assert not any(plant.adds for plant in plants.values())
+    straight = Driver(straight=1.0, grip=(0.3, 0.3), torque_max=40.0)
+    assert plants["driver-straight"].options == dataclasses.replace(options, driver=straight)
+    assert plants["driver-nobody"].options == PlantOptions(actuator=Actuator(lag=0.1))
+    # the study's own plant is not there twice
+    assert "driver-straight" not in named(PlantOptions(driver=straight))
+
+
+@pytest.fixture(scope="module")
+def driven() -> tuple[RobustnessTask, Robustness, Ranking]:
+    """On departures of which some trigger no design, with a driver who can be felt."""
+    setup = dataclasses.replace(SETUP, options=PlantOptions(driver=MIX))
+    scenarios = departures(40)
+    outcomes = [simulate(d.controller(), scenarios, y_s=d.y_s, setup=setup) for d in DESIGNS]
+    results = results_of_outcomes(DESIGNS, scenarios, outcomes)
+    ranking = Ranking.of(results, bootstrap=100, setup=setup)
+    task = RobustnessTask.of(results, ranking, setup, per_side=12)
+    return task, work_out(task), ranking
+
+
+def test_numbers_with_a_driver_are_those_of_plain_simulations(
+    driven: tuple[RobustnessTask, Robustness, Ranking],
+) -> None:
+    task, robustness, _ = driven
+    scenarios = departures(40).take(np.r_[0:12, 20:32])
+    for name, p in (robustness.drivers | {"": 0}).items():
+        plant, scores, idle = task.plants[p], [], 0
+        for i, design in enumerate(task.chosen.designs):
+            setup = dataclasses.replace(SETUP, options=plant.options)
+            out = simulate(design.controller(), scenarios, y_s=design.y_s, setup=setup)
+            acted = out.status != EventStatus.NEVER_TRIGGERED
+            idle += int((~acted).sum())
+            peak = out.metrics.driver_torque_peak[acted]
+            felt = [peak.mean(), np.quantile(peak, 0.95), out.metrics.against_time[acted].mean(),
+                    out.metrics.overridden[acted].mean()]  # fmt: skip
+            np.testing.assert_allclose(robustness.felt[:, p, i], felt, rtol=1e-12, atol=1e-15)
+            assert np.isnan(felt).all() == (name == "nobody")
+            scores.append(out.S)
+            for values, ends in ((out.S, robustness.S_ends), (out.S - scores[0], robustness.difference_ends)):
+                error = np.sqrt(sum(12 * values[part].var(ddof=1) for part in (slice(0, 12), slice(12, 24)))) / 24
+                half = stats.t.ppf(0.975, 22) * error
+                assert ends[:, p, i] == pytest.approx([values.mean() - half, values.mean() + half], rel=1e-9, abs=1e-12)
+        assert idle > 0
+    assert robustness.felt[1, robustness.drivers["against"]].max() > 0.5
+
+
+def with_scores(
+    driven: tuple[RobustnessTask, Robustness, Ranking], S: dict[str, tuple[float, float]], half: float = 0.01
+) -> Light | None:
+    """The light of the reference where it and one other design have these S with the drivers, "" being all together."""
+    _, robustness, ranking = driven
+    scores, contends = robustness.S.copy(), np.array([True, True, *[False] * (len(robustness.designs) - 2)])
+    for name, values in S.items():
+        scores[robustness.drivers[name] if name else 0, :2] = values
+    difference = scores - scores[:, :1]
+    felt = robustness.felt.copy()
+    felt[:, robustness.drivers["against"], 0] = 1.0, 4.2, 0.5, 0.75
+    changed = dataclasses.replace(
+        robustness,
+        S=scores,
+        contends=contends,
+        felt=felt,
+        difference_ends=np.stack([difference - half, difference + half]),
+    )
+    position = [design.id for design in ranking.designs].index(robustness.designs[0])
+    return changed.driver_light(ranking, position, MIX)
+
+
+AGAINST = "With against torque counts: 95 % of the peaks to 4.2 N m, 75\u00a0% overridden."
+
+
+def test_the_light_of_the_driver_names_who_changes_the_order(
+    driven: tuple[RobustnessTask, Robustness, Ranking],
+) -> None:
+    """A driver who is not in the mix does not count, nor does one whose departure is wanted."""
+    same = {"": (1.0, 1.1), "straight": (1.0, 1.2), "recorded": (1.0, 1.05)}
+    other = {"returns": (2.0, 1.0), "against": (2.0, 1.0), "nobody": (2.0, 1.0)}
+    light = with_scores(driven, same | other)
+    assert light is not None
+    assert (light.name, light.state) == ("Driver", "good")
+    assert light.text == f"First with each driver of the mix: recorded, straight. {AGAINST}"
+    light = with_scores(driven, same | {"straight": (1.05, 1.0)})
+    assert light is not None
+    assert light.state == "warning"
+    assert re.fullmatch(
+        r"Another design is first with straight .+, S 0\.050 m s less \(0\.040 to 0\.060\)\. " + re.escape(AGAINST),
+        light.text,
+    )
+    # by the mean alone: a change of the order only where the reference leads with all of them together
+    light = with_scores(driven, same | {"straight": (1.005, 1.0)})
+    assert light is not None
+    assert light.state == "warning"
+    assert "S 0.005 m s less (not separated)" in light.text
+    light = with_scores(driven, same | {"": (1.005, 1.0), "straight": (1.005, 1.0)})
+    assert light is not None
+    assert light.state == "good"
+    assert light.text.startswith("First or not separated from it with each driver of the mix: recorded, straight.")
+    light = with_scores(driven, same | {"": (1.005, 1.0), "straight": (1.05, 1.0)})
+    assert light is not None
+    assert light.state == "warning"
+    light = with_scores(driven, {name: (1.0, float("nan")) for name in same})
+    assert light is not None
+    assert light.state == "unknown"
+
+
+def test_no_light_of_the_driver_for_another_design(driven: tuple[RobustnessTask, Robustness, Ranking]) -> None:
+    _, robustness, ranking = driven
+    position = [design.id for design in ranking.designs].index(robustness.designs[1])
+    assert robustness.driver_light(ranking, position, MIX) is None
 
 
 def test_few_changes_have_no_interval() -> None:

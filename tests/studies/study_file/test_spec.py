@@ -477,10 +477,11 @@ def test_the_paper_is_run_from_the_printed_start() -> None:
 
 
 def test_the_catalog_loads() -> None:
-    names = "ideal my-vehicle paper paper-as-printed reality road-edge trigger-and-gains zoo zoo-sweep"
+    names = "driver ideal my-vehicle paper paper-as-printed reality road-edge trigger-and-gains zoo zoo-sweep"
     assert catalog_names() == tuple(names.split())
     assert all(load_study(name).name == name for name in catalog_names())
     assert not load_study("reality").plant.ideal
+    assert [name for name in catalog_names() if not load_study(name).plant.driver.ideal] == ["driver"]
     assert load_study("paper").plant.ideal
     assert load_study("ideal").plant.ideal
     assert len(load_study("ideal").designs) >= 100
