@@ -146,12 +146,14 @@ class _Column(_Loop):
         self.F_0 = float(self.meant[0](self.t_s)[1])
 
     def recorded_motion(self, t: float, inside: bool) -> tuple[float, float]:
-        """y' and y'' of the recorded path, outward; after T the second fades."""
+        """y' and y'' of the recorded path, outward; after T the second fades, at first with the slope that it had."""
         path = self.path
         if inside:
             return float(path.dy(t)), float(path.ddy(t))
-        rate, bend, left = float(path.dy(path.T)), float(path.ddy(path.T)), math.exp((path.T - t) / NEUROMUSCULAR)
-        return rate + bend * NEUROMUSCULAR * (1.0 - left), bend * left
+        tau, T, s = NEUROMUSCULAR, path.T, t - path.T
+        rate, bend, left = float(path.dy(T)), float(path.ddy(T)), math.exp(-s / tau)
+        b = bend / tau + (bend - float(path.ddy(T - 1e-4))) / 1e-4
+        return rate + tau * (bend + b * tau) * (1.0 - left) - tau * b * s * left, (bend + b * s) * left
 
     def _intend(self, k: int, t: float, x: np.ndarray) -> None:
         """q at the sample, and where it goes during it."""

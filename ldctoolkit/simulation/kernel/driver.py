@@ -279,7 +279,7 @@ def _lay(setting, w):
         q_a = w[data.OWN_A_Y + l]
         q_b = fma(q_a - target, half, target)
         q_c = fma(q_b - target, half, target)
-        w[data.OWN_A_Y + l] = q_c
+        w[data.OWN_A_Y + l] = q_c if h > 0.0 else q_a
         a, b, c = w[data.MEANT_START + l], w[data.MEANT_MID + l], w[data.MEANT_END + l]
         d_1, d_2, gain = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b), w[data.DELTA_PER_A_Y + l]
         b, c = ratio * fma(gain, q_b, fma(u, fma(u, d_2, d_1), a)), ratio * fma(gain, q_c, fma(e, fma(e, d_2, d_1), a))

@@ -30,7 +30,7 @@ MAGIC = Tyres(model="magic_formula", mu=0.6, shape=1.4)
 DRAWN = Mismatch(m=(0.8, 1.4), I_z=(0.9, 1.2), C_af=(0.7, 1.0), C_ar=(0.8, 1.2))
 STEERING = Actuator(delta_max=0.05, rate_max=0.3, lag=0.07, delay=0.083)
 CAMERA = Sensors(e_y_bias=0.04, e_psi_bias=-0.004, period=2 * DT, delay=DT, curvature_gain=0.1, curvature_noise=3e-4)
-RESIDUALS = Residuals(y=True, v=True)
+RESIDUALS = Residuals(v=True)  # nobody steers that of y
 EVERYTHING: dict[str, Any] = {
     "speed": "profile", "actuator": STEERING, "mismatch": DRAWN, "tyres": MAGIC, "sensors": CAMERA,
     "residuals": RESIDUALS,
@@ -235,7 +235,7 @@ def test_driver_keeps_the_wheel_after_an_override() -> None:
 def test_no_grip_is_the_plant_without_a_driver() -> None:
     """To the bit, but for the metrics of the driver, which are zero."""
     scenarios = with_residuals(make_scenarios(60, seed=8))
-    everything = {**EVERYTHING, "tyres": Tyres(model="magic_formula")}
+    everything = {**EVERYTHING, "tyres": Tyres(model="magic_formula"), "residuals": Residuals(y=True, v=True)}
     for more in ({}, {"actuator": STEERING}, everything):
         for law in (LQR(r_delta=100.0), Stepped(LQR(r_delta=100.0), drops=True)):
             alone, driven = (
@@ -273,6 +273,19 @@ def test_driver_with_all_the_grip_stays_on_the_recorded_path(case: str) -> None:
     assert out.triggered.all()
     assert np.nanmax(np.where(paths.t <= scenarios.T[:, None] + 1e-9, off, 0.0)) < 1e-3
     np.testing.assert_allclose(out.S, out.S_uncorrected, rtol=0, atol=2e-3)
+
+
+def test_residual_of_the_path_is_not_steered() -> None:
+    """With all the grip, the way is that of the fitted path from where the vehicle is at the trigger, within 1 mm."""
+    scenarios, driver = departures(40), Driver(recorded=1.0, grip=(1.0, 1.0))
+    out = run(LQR(r_delta=100.0), PlantOptions(driver=driver, residuals=Residuals(y=True)), scenarios)
+    paths, rows = out.trajectories, np.flatnonzero(out.triggered)
+    t = np.nan_to_num(paths.t)
+    off = paths.x[:, :, 0] - UncorrectedPath.of(scenarios, Residuals(), SEED).lateral(t) - 0.85
+    off = np.where(t <= scenarios.T[:, None], off - off[:, :1], 0.0)[rows]
+    assert rows.size > 30
+    assert np.nanmax(np.abs(off)) < 1e-3
+    assert np.abs(paths.x[rows, 0, 0] - paths.path.lateral(out.t_s[:, None])[rows, 0] - 0.85).max() < 1e-12
 
 
 def test_stiffer_arms_leave_the_assist_less() -> None:
