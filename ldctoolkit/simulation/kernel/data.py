@@ -175,10 +175,10 @@ TENSE_START, TENSE_END, AUTHORITY_START, AUTHORITY = _next(4)
 # the torque has been beyond its limit, or below; 1 where the law has to know that the assist yields; 1 from the moment
 # the vehicle was parallel; the present stretch against the driver [s]; the angle that the assist follows
 COLUMN, COLUMN_RATE, TORQUE, ASSIST, BEYOND, YIELDING, PARALLEL, STRETCH, REFERENCE, HELD_WHEEL = _next(10)
-FRONT_NOW, FRONT_RATE = _next(2)  # front force over the mass, and its rate
+FRONT_NOW, FRONT_RATE, WHEEL_RATE = _next(3)  # front force over the mass, its rate and that of the wheels' angle
 # polynomials over a substep: angle that the assist follows, angle and torque that the driver means, aligning torque,
 # tension, authority; moments of z
-REF_0, REF_1, REF_2, MEANT_0, MEANT_1, MEANT_2, FEED_0, FEED_1, FEED_2, ALIGN_0, ALIGN_1 = _next(11)
+REF_0, REF_1, REF_2, MEANT_0, MEANT_1, MEANT_2, FEED_0, FEED_1, FEED_2, ALIGN_0, ALIGN_1, ALIGN_2 = _next(12)
 TENSE_0, TENSE_1, AUTH_0, AUTH_1, MOMENT_0, MOMENT_1, MOMENT_2 = _next(7)
 FILTER_ROWS, *_ = _next(FILTER)
 RINGS = next(_rows)  # then come the rings, of a length that the run decides; see `kernel.block_table.rings`

@@ -261,6 +261,7 @@ def begin_segment(w):
 def _lay(setting, w):
     """What acts along a substep, as polynomials in the time since its start."""
     direct = setting[data.LAG] == 0.0 and setting[data.RATE_MAX] == math.inf
+    saturating = setting[data.SATURATING] > 0.0
     per_dt, ratio = 1.0 / setting[data.DT], setting[data.RATIO] if setting[data.ARMS] > 0.0 else 1.0
     for l in range(int(setting[data.WIDTH])):
         w[data.PARALLEL + l] = 1.0 if w[data.NEXT_E_Y_RATE + l] <= 0.0 else w[data.PARALLEL + l]
@@ -293,7 +294,13 @@ def _lay(setting, w):
         a = trail * fma(gain, q_a, fma(s, fma(s, d_2, d_1), a))
         w[data.FEED_0 + l], w[data.FEED_1 + l] = a, (4.0 * b - 3.0 * a - c) * per_h
         w[data.FEED_2 + l] = 2.0 * (a + c - 2.0 * b) * per_h * per_h
-        w[data.ALIGN_0 + l], w[data.ALIGN_1 + l] = trail * w[data.FRONT_NOW + l], trail * w[data.FRONT_RATE + l]
+        # the front force follows the wheels at once, with the tyres' present stiffness; the rest on a straight line
+        used = w[data.FRONT_NOW + l] / w[data.GRIP_F + l]
+        stiff = w[data.STIFFNESS_F + l]
+        stiff *= setting[data.SHAPE] * w[data.GRIP_F + l] * max(fma(-used, used, 1.0), 0.0) if saturating else 1.0
+        w[data.ALIGN_0 + l] = fma(-trail * stiff, w[data.COLUMN + l] * (1.0 / ratio), trail * w[data.FRONT_NOW + l])
+        w[data.ALIGN_1 + l] = trail * fma(-stiff, w[data.WHEEL_RATE + l], w[data.FRONT_RATE + l])
+        w[data.ALIGN_2 + l] = trail * stiff * (1.0 / ratio)
         for n in range(2):
             start, end = w[data.TENSE_START + 2 * n * L + l], w[data.TENSE_END + 2 * n * L + l]
             w[data.TENSE_0 + 2 * n * L + l] = fma(s, end - start, start)
@@ -307,7 +314,7 @@ def _column(w, l, s, angle, rate, k_a, b_a, b_d, b_w, limit, per_inertia):
     meant_rate = fma(2.0 * s, w[data.MEANT_2 + l], w[data.MEANT_1 + l])
     reference = fma(s, fma(s, w[data.REF_2 + l], w[data.REF_1 + l]), w[data.REF_0 + l])
     feed = fma(s, fma(s, w[data.FEED_2 + l], w[data.FEED_1 + l]), w[data.FEED_0 + l])
-    align = fma(s, w[data.ALIGN_1 + l], w[data.ALIGN_0 + l])
+    align = fma(angle, w[data.ALIGN_2 + l], fma(s, w[data.ALIGN_1 + l], w[data.ALIGN_0 + l]))
     tense, authority = fma(s, w[data.TENSE_1 + l], w[data.TENSE_0 + l]), fma(s, w[data.AUTH_1 + l], w[data.AUTH_0 + l])
     assist = authority * min(max(fma(k_a, reference - angle, fma(-b_a, rate, align)), -limit), limit)
     arms = tense * fma(w[data.STRENGTH + l], meant - angle, b_d * (meant_rate - rate))
@@ -452,6 +459,9 @@ def hold(setting, w):
                 copy(w, data.DELTA_MID, w, data.MOMENT_0 + (parts % 2) * L, 1)
         copy(w, data.DELTA_END, w, data.MOMENT_0, 1)
         copy(w, data.WHEEL, w, data.MOMENT_0, 1)
+        for l in range(int(setting[data.WIDTH])):
+            h, moved = w[data.H + l], w[data.DELTA_END + l] - w[data.DELTA_START + l]
+            w[data.WHEEL_RATE + l] = moved / h if h > 0.0 else w[data.WHEEL_RATE + l]
         return
     for n in range(parts):
         _grip(setting, w, n, parts)
