@@ -467,7 +467,10 @@ def _scene(over: Takeover) -> FloatArray:
         data.C_0: p.c_0,
         data.DC: p.dc,
         data.DELTA_0: over.delta_0,
-        data.SUBSTEPS: np.ceil(setup.dt * np.maximum(np.maximum(lateral, yaw) / slowest / _REACH, 1.0 / data.LONGEST)),
+        data.SUBSTEPS: np.maximum(
+            np.ceil(setup.dt * np.maximum(np.maximum(lateral, yaw) / slowest / _REACH, 1.0 / data.LONGEST)),
+            data.column_steps(setup),
+        ),
         data.C_AF: car.C_af,
         data.C_AR: car.C_ar,
         data.L_F: l_f,

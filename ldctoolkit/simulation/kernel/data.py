@@ -175,10 +175,9 @@ TENSE_START, TENSE_END, AUTHORITY_START, AUTHORITY = _next(4)
 # the torque has been beyond its limit, or below; 1 where the law has to know that the assist yields; 1 from the moment
 # the vehicle was parallel; the present stretch against the driver [s]; the angle that the assist follows
 COLUMN, COLUMN_RATE, TORQUE, ASSIST, BEYOND, YIELDING, PARALLEL, STRETCH, REFERENCE, HELD_WHEEL = _next(10)
-FRONT_NOW, FRONT_RATE, WHEEL_RATE = _next(3)  # front force over the mass, its rate and that of the wheels' angle
-# polynomials over a substep: angle that the assist follows, angle and torque that the driver means, aligning torque,
-# tension, authority; moments of z
-REF_0, REF_1, REF_2, MEANT_0, MEANT_1, MEANT_2, FEED_0, FEED_1, FEED_2, ALIGN_0, ALIGN_1, ALIGN_2 = _next(12)
+# polynomials over a substep: angle that the assist follows, angle and torque that the driver means, tension,
+# authority; moments of z
+REF_0, REF_1, REF_2, MEANT_0, MEANT_1, MEANT_2, FEED_0, FEED_1, FEED_2 = _next(9)
 TENSE_0, TENSE_1, AUTH_0, AUTH_1, MOMENT_0, MOMENT_1, MOMENT_2 = _next(7)
 FILTER_ROWS, *_ = _next(FILTER)
 RINGS = next(_rows)  # then come the rings, of a length that the run decides; see `kernel.block_table.rings`
@@ -224,7 +223,7 @@ ASSIST_STATE: Final = SCORE + LANES * (SCORES - 1)  # `AssistState`
     MODES, EARLIER_FRAMES, CAMERA, PERIOD, CAMERA_DELAY, NOISE_Y, NOISE_PSI, BIAS_Y, BIAS_PSI, STEP_Y, STEP_PSI,
     CURVATURE_GAIN, SEED_LOW, SEED_HIGH, FILTERED, KNOWN_DELAY, KNOWN_AGE, COMMAND_RING, FRAME_RING, A_Y_RING, WIDTH,
     HELD, ARMS, RATIO, ASSIST_STIFFNESS, ASSIST_DAMPING, TORQUE_MAX, ARM_DAMPING, ARM_LAG, WHEEL_DAMPING, INERTIA,
-    RETURN_DAMPING, OVERRIDE_TORQUE, OVERRIDE_TIME, RAMP, RETURN_AFTER, COLUMN_STEPS,
+    RETURN_DAMPING, OVERRIDE_TORQUE, OVERRIDE_TIME, RAMP, RETURN_AFTER, GRIP_STEPS,
 ) = range(50)  # fmt: skip
 
 
@@ -272,7 +271,7 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         # length of the ring of lateral accelerations, a power of two
         A_Y_RING: 2 ** math.ceil(math.log2(math.ceil(window / dt) + 3)),
         HELD: driver.holds,  # a driver holds the wheel
-        ARMS: driver.model == "arms",
+        ARMS: driver.holds and driver.model == "arms",
         RATIO: setup.vehicle.steering_ratio,
         ASSIST_STIFFNESS: driver.assist_stiffness,
         ASSIST_DAMPING: driver.assist_damping,
@@ -286,25 +285,24 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         OVERRIDE_TIME: driver.override_time,
         RAMP: driver.ramp,
         RETURN_AFTER: driver.return_after,
-        COLUMN_STEPS: _column_steps(setup),  # within a substep
+        GRIP_STEPS: 4,  # within a substep
         WIDTH: LANES,  # unknown to the compiler, which would unroll a short loop over the lanes instead
     }
     return np.array([values[n] for n in range(len(values))], dtype=np.float64)
 
 
 NEUROMUSCULAR_LAG: Final = 0.1  # [s] of a driver between what he wants and what his arms do
-_COLUMN_REACH: Final = 0.6  # step of the column in units of its fastest time constant
+_COLUMN_REACH: Final = 0.4  # step of the column in units of its fastest time constant
 LONGEST: Final = 0.03  # [s] longest substep of the Runge-Kutta method: the law's own poles are no slower at high speed
 
 
-def _column_steps(setup: Setup) -> int:
-    """Steps of the column within a substep of the vehicle: as many again where the angle that it follows jumps."""
+def column_steps(setup: Setup) -> int:
+    """Least number of substeps a sample that the arms of a driver need; one more where commands jump."""
     driver, actuator = setup.options.driver, setup.options.actuator
-    smooth = 1 if actuator.lag > 0.0 or actuator.rate_max is not None else 2
-    if driver.model == "grip":
-        return 2 * smooth
+    if not driver.holds or driver.model == "grip":
+        return 1
     inertia = driver.wheel_inertia + driver.inertia
     damping = driver.damping + driver.assist_damping + driver.wheel_damping
     swings = math.sqrt((driver.assist_stiffness + driver.stiffness[1]) / inertia)
-    substep = setup.dt / math.ceil(setup.dt / LONGEST)
-    return smooth * math.ceil(substep * max(swings, damping / inertia) / _COLUMN_REACH)
+    jumps = actuator.lag == 0.0 and actuator.rate_max is None
+    return math.ceil(setup.dt * max(swings, damping / inertia) / _COLUMN_REACH) + jumps

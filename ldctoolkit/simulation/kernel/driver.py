@@ -8,8 +8,8 @@ Angles of the column and torques are those at the steering wheel, in the outward
     grip:  delta = delta_d + z,    s g tau_d z' = (1 - g) a sat(delta_a - delta_d - z) - s g z,    T_d = -T_a.
 
 theta_a is what the actuator makes of the command; theta_d and T_ff are the angle and the aligning torque that the
-driver means, parabolas over a sample. The arms take a few steps of the method of Runge and Kutta within a substep of
-the vehicle, with the aligning torque T_s on a straight line; the grip is driven in closed form.
+driver means, parabolas over a sample. The arms go with the vehicle through the substeps of `rk4_loop`; the grip is
+driven in closed form.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
@@ -258,10 +258,9 @@ def begin_segment(w):
 
 
 @numba.njit(**OPTIONS)
-def _lay(setting, w):
+def lay(setting, w):
     """What acts along a substep, as polynomials in the time since its start."""
     direct = setting[data.LAG] == 0.0 and setting[data.RATE_MAX] == math.inf
-    saturating = setting[data.SATURATING] > 0.0
     per_dt, ratio = 1.0 / setting[data.DT], setting[data.RATIO] if setting[data.ARMS] > 0.0 else 1.0
     for l in range(int(setting[data.WIDTH])):
         w[data.PARALLEL + l] = 1.0 if w[data.NEXT_E_Y_RATE + l] <= 0.0 else w[data.PARALLEL + l]
@@ -271,7 +270,6 @@ def _lay(setting, w):
         a, b, c = u if direct else a, u if direct else b, u if direct else c
         per_h = 1.0 / h if h > 0.0 else 0.0
         w[data.REF_0 + l], w[data.REF_1 + l] = ratio * a, ratio * (4.0 * b - 3.0 * a - c) * per_h
-        w[data.DELTA_START + l] = w[data.COLUMN + l] * (1.0 / ratio)  # of the arms
         w[data.REF_2 + l] = ratio * 2.0 * (a + c - 2.0 * b) * per_h * per_h
         s = (w[data.PIECE_START + l] + w[data.PIECE_TIME + l] - w[data.SAMPLE_START + l]) * per_dt
         half = decay(-0.5 * _LAG * h)  # what his own acceleration wants, at start, middle and end of the substep
@@ -294,13 +292,6 @@ def _lay(setting, w):
         a = trail * fma(gain, q_a, fma(s, fma(s, d_2, d_1), a))
         w[data.FEED_0 + l], w[data.FEED_1 + l] = a, (4.0 * b - 3.0 * a - c) * per_h
         w[data.FEED_2 + l] = 2.0 * (a + c - 2.0 * b) * per_h * per_h
-        # the front force follows the wheels at once, with the tyres' present stiffness; the rest on a straight line
-        used = w[data.FRONT_NOW + l] / w[data.GRIP_F + l]
-        stiff = w[data.STIFFNESS_F + l]
-        stiff *= setting[data.SHAPE] * w[data.GRIP_F + l] * max(fma(-used, used, 1.0), 0.0) if saturating else 1.0
-        w[data.ALIGN_0 + l] = fma(-trail * stiff, w[data.COLUMN + l] * (1.0 / ratio), trail * w[data.FRONT_NOW + l])
-        w[data.ALIGN_1 + l] = trail * fma(-stiff, w[data.WHEEL_RATE + l], w[data.FRONT_RATE + l])
-        w[data.ALIGN_2 + l] = trail * stiff * (1.0 / ratio)
         for n in range(2):
             start, end = w[data.TENSE_START + 2 * n * L + l], w[data.TENSE_END + 2 * n * L + l]
             w[data.TENSE_0 + 2 * n * L + l] = fma(s, end - start, start)
@@ -308,13 +299,12 @@ def _lay(setting, w):
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _column(w, l, s, angle, rate, k_a, b_a, b_d, b_w, limit, per_inertia):
-    """Acceleration of the column, and both torques, at the time s of a substep."""
+def column(w, l, s, angle, rate, align, k_a, b_a, b_d, b_w, limit, per_inertia):
+    """Acceleration of the column, and both torques, at the time s of a substep with this aligning torque."""
     meant = fma(s, fma(s, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
     meant_rate = fma(2.0 * s, w[data.MEANT_2 + l], w[data.MEANT_1 + l])
     reference = fma(s, fma(s, w[data.REF_2 + l], w[data.REF_1 + l]), w[data.REF_0 + l])
     feed = fma(s, fma(s, w[data.FEED_2 + l], w[data.FEED_1 + l]), w[data.FEED_0 + l])
-    align = fma(angle, w[data.ALIGN_2 + l], fma(s, w[data.ALIGN_1 + l], w[data.ALIGN_0 + l]))
     tense, authority = fma(s, w[data.TENSE_1 + l], w[data.TENSE_0 + l]), fma(s, w[data.AUTH_1 + l], w[data.AUTH_0 + l])
     assist = authority * min(max(fma(k_a, reference - angle, fma(-b_a, rate, align)), -limit), limit)
     arms = tense * fma(w[data.STRENGTH + l], meant - angle, b_d * (meant_rate - rate))
@@ -323,13 +313,13 @@ def _column(w, l, s, angle, rate, k_a, b_a, b_d, b_w, limit, per_inertia):
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _score(w, l, h, before, assist_before, torque, assist, mean, angle_before, angle):
-    """Torques and angle at both ends of a step of the length h, and the mean size of the driver's torque."""
+def score(w, l, h, before, assist_before, torque, assist, middle, mean, angle_before, angle):
+    """Torques and angle at both ends of a step of the length h; the driver's torque in its middle, its mean size."""
     moved, size_before, size = h > 0.0, abs(before), abs(torque)
     opposes_before = (before * assist_before < 0.0) & (size_before > _FELT)
     opposes = (torque * assist < 0.0) & (size > _FELT)
     count = (0.5 if opposes_before else 0.0) + (0.5 if opposes else 0.0)
-    peak = larger(size_before, size)
+    peak = larger(larger(size_before, size), abs(middle))
     w[data.DRIVER_PEAK + l] = larger(w[data.DRIVER_PEAK + l], peak if moved else 0.0)
     w[data.DRIVER_MEAN + l] = fma(h, mean, w[data.DRIVER_MEAN + l])
     w[data.AGAINST_TIME + l] = fma(h, count, w[data.AGAINST_TIME + l])
@@ -344,36 +334,6 @@ def _score(w, l, h, before, assist_before, torque, assist, mean, angle_before, a
     w[data.TRAVEL + l] += abs(angle - angle_before)
     middle = 0.5 * (angle_before + angle)
     w[data.EFFORT + l] += h * (1.0 / 6.0) * fma(4.0 * middle, middle, fma(angle, angle, angle_before * angle_before))
-
-
-@numba.njit(**OPTIONS)
-def _swing(setting, w, n, parts):
-    """Step n of so many of the column within a substep, by Runge and Kutta; the wheels' angle at its end and middle."""
-    k_a, b_a, limit = setting[data.ASSIST_STIFFNESS], setting[data.ASSIST_DAMPING], setting[data.TORQUE_MAX]
-    b_d, b_w, per_inertia, per_ratio = (
-        setting[data.ARM_DAMPING],
-        setting[data.WHEEL_DAMPING],
-        1.0 / setting[data.INERTIA],
-        1.0 / setting[data.RATIO],
-    )
-    for l in range(int(setting[data.WIDTH])):
-        h, x, y = w[data.H + l] / parts, w[data.COLUMN + l], w[data.COLUMN_RATE + l]
-        s, half = n * h, 0.5 * h
-        a_1, before_assist, before = _column(w, l, s, x, y, k_a, b_a, b_d, b_w, limit, per_inertia)
-        y_2 = fma(half, a_1, y)
-        a_2, _, _ = _column(w, l, s + half, fma(half, y, x), y_2, k_a, b_a, b_d, b_w, limit, per_inertia)
-        y_3 = fma(half, a_2, y)
-        a_3, _, _ = _column(w, l, s + half, fma(half, y_2, x), y_3, k_a, b_a, b_d, b_w, limit, per_inertia)
-        y_4 = fma(h, a_3, y)
-        a_4, _, _ = _column(w, l, s + h, fma(h, y_3, x), y_4, k_a, b_a, b_d, b_w, limit, per_inertia)
-        angle = fma(h * (1.0 / 6.0), fma(2.0, y_2 + y_3, y + y_4), x)
-        rate = fma(h * (1.0 / 6.0), fma(2.0, a_2 + a_3, a_1 + a_4), y)
-        _, assist, torque = _column(w, l, s + h, angle, rate, k_a, b_a, b_d, b_w, limit, per_inertia)
-        mean = 0.5 * (abs(before) + abs(torque))
-        _score(w, l, h, before, before_assist, torque, assist, mean, x * per_ratio, angle * per_ratio)
-        w[data.COLUMN + l], w[data.COLUMN_RATE + l] = angle, rate
-        w[data.MOMENT_0 + l] = angle * per_ratio
-        w[data.MOMENT_1 + l] = 0.5 * per_ratio * fma(0.25 * h, y - rate, x + angle)  # of the cubic
 
 
 @numba.njit(forceinline=True, **OPTIONS)
@@ -443,26 +403,14 @@ def _grip(setting, w, n, parts):
         mean = 0.5 * (a_0 + a_1) * stiffness * fma(share, limit - mean, mean)
         angle_before = z + fma(s, fma(s, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
         angle = z_end + fma(e, fma(e, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
-        _score(w, l, h, -assist_before, assist_before, -assist, assist, mean, angle_before, angle)
+        score(w, l, h, -assist_before, assist_before, -assist, assist, assist, mean, angle_before, angle)
         w[data.COLUMN + l] = z_end
 
 
 @numba.njit(**OPTIONS)
 def hold(setting, w):
-    """The wheels' angle over a substep, as the parabola that the vehicle sees, and its scores."""
-    _lay(setting, w)
-    parts = int(setting[data.COLUMN_STEPS])
-    if setting[data.ARMS] > 0.0:
-        for n in range(parts):
-            _swing(setting, w, n, parts)
-            if n == (parts - 1) // 2:
-                copy(w, data.DELTA_MID, w, data.MOMENT_0 + (parts % 2) * L, 1)
-        copy(w, data.DELTA_END, w, data.MOMENT_0, 1)
-        copy(w, data.WHEEL, w, data.MOMENT_0, 1)
-        for l in range(int(setting[data.WIDTH])):
-            h, moved = w[data.H + l], w[data.DELTA_END + l] - w[data.DELTA_START + l]
-            w[data.WHEEL_RATE + l] = moved / h if h > 0.0 else w[data.WHEEL_RATE + l]
-        return
+    """The wheels' angle that a grip makes of it over a substep, as the parabola that the vehicle sees; its scores."""
+    parts = int(setting[data.GRIP_STEPS])
     for n in range(parts):
         _grip(setting, w, n, parts)
     for l in range(int(setting[data.WIDTH])):

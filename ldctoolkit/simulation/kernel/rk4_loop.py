@@ -94,7 +94,7 @@ def _with_tyres(slopes):
             turn = w[data.NEXT_E_PSI_RATE + l]
             v, dv, per_v = w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l]
             lane, delta = w[data.LANE_START + l], w[data.DELTA_START + l]
-            a_1, b_1, _, front_1 = slopes(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape)
+            a_1, b_1, _, _ = slopes(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape)
             v, dv, per_v = w[data.V_MID + l], w[data.DV_MID + l], w[data.PER_V_MID + l]
             lane, delta = w[data.LANE_MID + l], w[data.DELTA_MID + l]
             p_2, psi_2, turn_2 = fma(half, a_1, p), fma(half, turn, psi), fma(half, b_1, turn)
@@ -104,7 +104,7 @@ def _with_tyres(slopes):
             v, dv, per_v = w[data.V_END + l], w[data.DV_END + l], w[data.PER_V_END + l]
             lane, delta = w[data.LANE_END + l], w[data.DELTA_END + l]
             p_4, psi_4, turn_4 = fma(h, a_3, p), fma(h, turn_3, psi), fma(h, b_3, turn)
-            a_4, b_4, _, front_4 = slopes(w, l, p_4, psi_4, turn_4, v, dv, per_v, lane, delta, shape)
+            a_4, b_4, _, _ = slopes(w, l, p_4, psi_4, turn_4, v, dv, per_v, lane, delta, shape)
             # e_y feeds back into nothing: its values at the stages follow from its rates there
             w[data.PIECE_AREA + l] = fma(h, fma(sixth, p + p_2 + p_3, y), w[data.PIECE_AREA + l])
             w[data.NEXT_E_Y + l] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
@@ -112,8 +112,58 @@ def _with_tyres(slopes):
             w[data.NEXT_E_PSI + l] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
             w[data.NEXT_E_PSI_RATE + l] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
             w[data.PIECE_TIME + l] += h
-            w[data.FRONT_NOW + l] = front_4 if h > 0.0 else w[data.FRONT_NOW + l]
-            w[data.FRONT_RATE + l] = (front_4 - front_1) / h if h > 0.0 else w[data.FRONT_RATE + l]
+
+    @numba.njit(forceinline=True, **OPTIONS)
+    def held_substep(setting, w, road, point, shape):
+        """The same with the arms of a driver: the column's angle and rate are two more states, see `kernel.driver`."""
+        k_a, b_a, limit = setting[data.ASSIST_STIFFNESS], setting[data.ASSIST_DAMPING], setting[data.TORQUE_MAX]
+        b_d, b_w = setting[data.ARM_DAMPING], setting[data.WHEEL_DAMPING]
+        per_inertia, per_ratio = 1.0 / setting[data.INERTIA], 1.0 / setting[data.RATIO]
+        copy(w, data.V_START, road, point, 12)
+        for l in range(int(setting[data.WIDTH])):
+            h, trail = w[data.H + l], w[data.TRAIL_TORQUE + l]
+            half, sixth = 0.5 * h, h * (1.0 / 6.0)
+            y, p, psi = w[data.NEXT_E_Y + l], w[data.NEXT_E_Y_RATE + l], w[data.NEXT_E_PSI + l]
+            turn, angle, rate = w[data.NEXT_E_PSI_RATE + l], w[data.COLUMN + l], w[data.COLUMN_RATE + l]
+            v, dv, per_v = w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l]
+            a_1, b_1, _, force = slopes(
+                w, l, p, psi, turn, v, dv, per_v, w[data.LANE_START + l], angle * per_ratio, shape
+            )
+            c_1, before_assist, before = driver.column(
+                w, l, 0.0, angle, rate, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
+            )
+            v, dv, per_v, lane = w[data.V_MID + l], w[data.DV_MID + l], w[data.PER_V_MID + l], w[data.LANE_MID + l]
+            p_2, psi_2, turn_2 = fma(half, a_1, p), fma(half, turn, psi), fma(half, b_1, turn)
+            angle_2, rate_2 = fma(half, rate, angle), fma(half, c_1, rate)
+            a_2, b_2, _, force = slopes(w, l, p_2, psi_2, turn_2, v, dv, per_v, lane, angle_2 * per_ratio, shape)
+            c_2, _, _ = driver.column(
+                w, l, half, angle_2, rate_2, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
+            )
+            p_3, psi_3, turn_3 = fma(half, a_2, p), fma(half, turn_2, psi), fma(half, b_2, turn)
+            angle_3, rate_3 = fma(half, rate_2, angle), fma(half, c_2, rate)
+            a_3, b_3, _, force = slopes(w, l, p_3, psi_3, turn_3, v, dv, per_v, lane, angle_3 * per_ratio, shape)
+            c_3, _, middle = driver.column(
+                w, l, half, angle_3, rate_3, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
+            )
+            v, dv, per_v, lane = w[data.V_END + l], w[data.DV_END + l], w[data.PER_V_END + l], w[data.LANE_END + l]
+            p_4, psi_4, turn_4 = fma(h, a_3, p), fma(h, turn_3, psi), fma(h, b_3, turn)
+            angle_4, rate_4 = fma(h, rate_3, angle), fma(h, c_3, rate)
+            a_4, b_4, _, force = slopes(w, l, p_4, psi_4, turn_4, v, dv, per_v, lane, angle_4 * per_ratio, shape)
+            c_4, _, _ = driver.column(w, l, h, angle_4, rate_4, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia)
+            w[data.PIECE_AREA + l] = fma(h, fma(sixth, p + p_2 + p_3, y), w[data.PIECE_AREA + l])
+            w[data.NEXT_E_Y + l] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
+            w[data.NEXT_E_Y_RATE + l] = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), p)
+            w[data.NEXT_E_PSI + l] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
+            w[data.NEXT_E_PSI_RATE + l] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
+            w[data.PIECE_TIME + l] += h
+            end = fma(sixth, fma(2.0, rate_2 + rate_3, rate + rate_4), angle)
+            rate = fma(sixth, fma(2.0, c_2 + c_3, c_1 + c_4), rate)
+            _, assist, torque = driver.column(w, l, h, end, rate, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia)
+            mean = (1.0 / 6.0) * (abs(before) + 4.0 * abs(middle) + abs(torque))
+            driver.score(
+                w, l, h, before, before_assist, torque, assist, middle, mean, angle * per_ratio, end * per_ratio
+            )
+            w[data.COLUMN + l], w[data.COLUMN_RATE + l], w[data.WHEEL + l] = end, rate, end * per_ratio
 
     @numba.njit(forceinline=True, **OPTIONS)
     def accelerations(w, road, point, delta, to, shape, width):
@@ -125,16 +175,16 @@ def _with_tyres(slopes):
             v, dv, per_v, lane = (
                 w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l], w[data.LANE_START + l],
             )  # fmt: skip
-            _, _, relative, front = slopes(w, l, p, psi, turn, v, dv, per_v, lane, w[data.WORK_0 + l], shape)
-            w[data.WORK_1 + l], w[data.WORK_2 + l], w[data.FRONT_NOW + l] = fma(v, lane, relative), relative, front
+            _, _, relative, _ = slopes(w, l, p, psi, turn, v, dv, per_v, lane, w[data.WORK_0 + l], shape)
+            w[data.WORK_1 + l], w[data.WORK_2 + l] = fma(v, lane, relative), relative
         copy(w, to, w, data.WORK_1, 1)
         copy(w, to + 2 * L, w, data.WORK_2, 1)
 
-    return substep, accelerations
+    return substep, held_substep, accelerations
 
 
-_linear_substep, _linear_accelerations = _with_tyres(_linear)
-_saturating_substep, _saturating_accelerations = _with_tyres(_saturating)
+_linear_substep, _linear_held, _linear_accelerations = _with_tyres(_linear)
+_saturating_substep, _saturating_held, _saturating_accelerations = _with_tyres(_saturating)
 
 
 @numba.njit(**OPTIONS)
@@ -265,7 +315,9 @@ def begin_substep(setting, w, j, ramps):
         else:
             actuator.along_decay(setting, w)
     if setting[data.HELD] > 0.0:
-        driver.hold(setting, w)
+        driver.lay(setting, w)
+        if setting[data.ARMS] == 0.0:
+            driver.hold(setting, w)
 
 
 @numba.njit(**OPTIONS)
@@ -303,10 +355,16 @@ def _drive_segment(setting, w, k, parts, road, segment):
         least = min(least, int(w[data.N_SUBSTEPS + l]))
     for j in range(parts):
         begin_substep(setting, w, j, ramps)
-        if setting[data.SATURATING] > 0.0:
-            _saturating_substep(w, road, segment + HEADER + 2 * j * POINT_SIZE, setting[data.SHAPE])
+        point, shape = segment + HEADER + 2 * j * POINT_SIZE, setting[data.SHAPE]
+        if setting[data.ARMS] > 0.0:
+            if setting[data.SATURATING] > 0.0:
+                _saturating_held(setting, w, road, point, shape)
+            else:
+                _linear_held(setting, w, road, point, 0.0)
+        elif setting[data.SATURATING] > 0.0:
+            _saturating_substep(w, road, point, shape)
         else:
-            _linear_substep(w, road, segment + HEADER + 2 * j * POINT_SIZE, 0.0)
+            _linear_substep(w, road, point, 0.0)
         if j + 1 >= least or (j + 1) % data.PIECE == 0:
             end_piece(setting, w, k)
     end_segment(setting, w)
