@@ -215,7 +215,7 @@ class Takeover:
         if not (path.modes_v.size or self.scenarios.drift is not None) or not self.setup.options.driver.holds:
             return np.zeros((0, 0, 2))
         half, T = 0.5 * self.setup.dt, self.triggered.T[:, None]
-        lag, tail = data.NEUROMUSCULAR_LAG, math.ceil(60.0 * data.NEUROMUSCULAR_LAG / half)
+        lag, tail = data.STRAIGHTENS_IN, math.ceil(60.0 * data.STRAIGHTENS_IN / half)
         t = self.start[:, None] + half * np.arange(2 * (self.full_steps.max() + 2) + tail)
         inside = np.minimum(t, T)
         bend, after, fallen = path.lateral_acceleration(inside), t - inside, np.exp((inside - t) / lag)

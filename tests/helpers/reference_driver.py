@@ -150,7 +150,7 @@ class _Column(_Loop):
         path = self.path
         if inside:
             return float(path.dy(t)), float(path.ddy(t))
-        tau, T, s = NEUROMUSCULAR, path.T, t - path.T
+        tau, T, s = 0.2, path.T, t - path.T
         rate, bend, left = float(path.dy(T)), float(path.ddy(T)), math.exp(-s / tau)
         b = bend / tau + (bend - float(path.ddy(T - 1e-4))) / 1e-4
         return rate + tau * (bend + b * tau) * (1.0 - left) - tau * b * s * left, (bend + b * s) * left

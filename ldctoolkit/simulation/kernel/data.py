@@ -291,6 +291,7 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
     return np.array([values[n] for n in range(len(values))], dtype=np.float64)
 
 
+STRAIGHTENS_IN: Final = 0.2  # [s] of a driver after the end of the recorded path
 NEUROMUSCULAR_LAG: Final = 0.1  # [s] of a driver between what he wants and what his arms do
 _COLUMN_REACH: Final = 0.4  # step of the column in units of its fastest time constant
 LONGEST: Final = 0.03  # [s] longest substep of the Runge-Kutta method: the law's own poles are no slower at high speed

@@ -50,7 +50,7 @@ def _recorded_motion(setting, w, motion, block):
 
     After T the driver straightens: y'' = (A + B s) exp(-s/tau) goes on with the value and the slope that it has at T.
     """
-    h, tau, table = 0.5 * setting[data.DT], data.NEUROMUSCULAR_LAG, motion.shape[0] > 0
+    h, tau, table = 0.5 * setting[data.DT], data.STRAIGHTENS_IN, motion.shape[0] > 0
     for l in range(L if table else 0):
         i = min(block * L + l, motion.shape[0] - 1)
         at = (w[data.TIME + l] - w[data.T_0 + l]) / h
@@ -68,7 +68,7 @@ def _recorded_motion(setting, w, motion, block):
         bend, slope = fma(b, fma(b, c_2, c_1), c_0), fma(2.0 * b, c_2, c_1)
         whole = b * fma(b, fma(b, c_2 * (1.0 / 3.0), 0.5 * c_1), c_0)
         rate = w[data.HOLD_RATE + l] + (whole - a * fma(a, fma(a, c_2 * (1.0 / 3.0), 0.5 * c_1), c_0))
-        fallen, steep = decay(-_LAG * max(after, 0.0)), fma(bend, _LAG, slope)
+        fallen, steep = decay(-max(after, 0.0) / tau), fma(bend, 1.0 / tau, slope)
         w[data.WORK_0 + l] = rate + tau * (fma(tau, steep, bend) * (1.0 - fallen) - steep * after * fallen)
         w[data.WORK_1 + l] = fma(steep, after, bend) * fallen
 
