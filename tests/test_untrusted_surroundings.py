@@ -389,7 +389,7 @@ def test_more_memory_than_there_is(folder: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("ldctoolkit.studies.storage.run_table.free_memory", lambda: 2.0**33)
     (folder / "large.toml").write_text(LARGE)
     message = bad("run", "large.toml", "-o", "o", cwd=folder)
-    assert "102.4 GiB" in message
+    assert "147.1 GiB" in message
     assert "8.0" in message
     assert not (folder / "o").exists()
     check_room(load_study(folder / "s.toml"), 100_000)

@@ -83,8 +83,8 @@ class Trajectories(ReadOnly):
     a_y: FloatArray  # (c, k) [m/s^2] Lateral acceleration, axle forces over mass, at the moment of `delta`
     path: UncorrectedPath  # Of the chosen scenarios, with the lane and the speed that are driven
     v: FloatArray  # (c,) [m/s] Speed where the plant keeps that of the trigger; NaN where it follows the path's
-    # (c, k) Torques at the steering wheel [N m], authority of the assist from 0 to 1, and its `AssistState`, at the
-    # moment of `delta`; None without a driver
+    # (c, k) Torques at the steering wheel [N m] just before the command, 0 at the trigger; authority of the assist from 0
+    # to 1, and its `AssistState`, from then on; None without a driver
     driver_torque: FloatArray | None = None
     assist_torque: FloatArray | None = None
     authority: FloatArray | None = None
@@ -197,7 +197,11 @@ class Outcome(Frame):
             | scores
             | {"t_s_s": self.t_s}
             | {"status": STATUS_NAMES[self.status], "failed_solves": self.failed_solves}
-            | {column: getattr(self.metrics, name) for name, column in METRIC_COLUMNS.items()}
+            | {
+                column: getattr(self.metrics, name)
+                for name, column in METRIC_COLUMNS.items()
+                if self.assist_state is not None or name not in DRIVER_METRICS
+            }
         )
 
     def __repr__(self) -> str:

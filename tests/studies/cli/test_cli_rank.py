@@ -199,7 +199,7 @@ def test_json(folder: Path, rank: Rank) -> None:
     ("arguments", "message"),
     [
         (["plain", "--require", "ay_p59 <= 3"], "did you mean 'a_y_peak_p95'"),
-        (["plain", "--require", "S"], "allowed: a set (stable, comfort, lane-edge, physical), or a metric"),
+        (["plain", "--require", "S"], "allowed: a set (stable, comfort, lane-edge, acceptable, physical), or a metric"),
         (["plain", "--pareto", "effrt"], "did you mean 'effort"),
         (["plain", "--baseline", "lqq"], "did you mean 'lqr'"),
         (["plain", "--confidence", "1.5"], "plain: ranking.confidence: 1.5; allowed: less than 1"),
