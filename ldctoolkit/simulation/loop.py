@@ -83,8 +83,8 @@ class Trajectories(ReadOnly):
     a_y: FloatArray  # (c, k) [m/s^2] Lateral acceleration, axle forces over mass, at the moment of `delta`
     path: UncorrectedPath  # Of the chosen scenarios, with the lane and the speed that are driven
     v: FloatArray  # (c,) [m/s] Speed where the plant keeps that of the trigger; NaN where it follows the path's
-    # (c, k) Torques at the steering wheel [N m] just before the command, 0 at the trigger; authority of the assist from 0
-    # to 1, and its `AssistState`, from then on; None without a driver
+    # (c, k) Torques at the steering wheel [N m] just before the command, 0 at the trigger; authority of the assist from
+    # 0 to 1, and its `AssistState`, from then on; None without a driver
     driver_torque: FloatArray | None = None
     assist_torque: FloatArray | None = None
     authority: FloatArray | None = None

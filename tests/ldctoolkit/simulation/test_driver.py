@@ -96,8 +96,8 @@ QUICK = ("grip", "arms", "grip, everything", "arms, everything")
 )
 def test_random_departures_equal_the_reference(case: str, n: int) -> None:
     """S within 1e-4, the largest torque within 1 %; half of them under each law. Where a torque at a sample comes
-    within 0.3 % of the limit, either may be said to have overridden the assist. One departure in forty may be beyond, by
-    up to half as much again: that of "everything" whose S is 1.1e-4 off, that of "never overridden" with 1.4 %."""
+    within 0.3 % of the limit, either may be said to have overridden the assist. One departure in forty may be beyond,
+    by half as much again at most: that of "everything" whose S is 1.1e-4 off, that of "never overridden" with 1.4 %."""
     options, scenarios, compared, beyond = CASES[case], departures(n), 0, 0
     over = Takeover.build(scenarios, Setup(options=options, seed=SEED), y_s=Y_S)
     for parity, design in enumerate((LQR(r_delta=3000.0), PreviewProportional())):
