@@ -70,6 +70,7 @@ docs: $(VENV)/.docs  ## the documentation into out/docs; a warning is an error
 
 bench: $(VENV)/.bench  ## ratios against named references
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/closed_loop.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/against_plain_numba.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/extraction.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/linear_mpc.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/mixture.py
