@@ -128,6 +128,7 @@ def true_vehicles(
 BOUND = 20.0
 """|e_y| [m] at which a scenario counts as diverged; from there on the bound itself is scored, so S stays finite."""
 
+_LEAST_GRIP = 1e-9  # Of a driver who holds the wheel at all: less has no numbers
 _SHORTEST_STEP = 1e-12  # [s] A shorter remainder is rounding of T - t_s, not a step to be driven
 _SPEED_STEP = 1e-4  # [s] Step of the difference quotient of the recorded speed
 
@@ -507,6 +508,7 @@ def _driver(over: Takeover) -> list[FloatArray]:
     strength = driver.grip if driver.model == "grip" else driver.stiffness
     ranges = np.array([strength, driver.reaction, driver.across, driver.frequency])
     drawn = np.minimum(ranges[:, :1] + (ranges[:, 1:] - ranges[:, :1]) * draws[:, 1:].T, ranges[:, 1:])
+    drawn[0] = np.maximum(drawn[0], _LEAST_GRIP) if driver.model == "grip" else drawn[0]
     v, wheelbase = over.plant.v, car.l_f + car.l_r
     trail = (1.0 - driver.boost) * driver.trail * car.m / setup.vehicle.steering_ratio
     per_a_y = car.steady_state(v, setup.convention).delta / v, np.full(over.m, car.l_r / wheelbase)

@@ -304,6 +304,8 @@ def column_steps(setup: Setup) -> int:
         return 1
     inertia = driver.wheel_inertia + driver.inertia
     damping = driver.damping + driver.assist_damping + driver.wheel_damping
-    swings = math.sqrt((driver.assist_stiffness + driver.stiffness[1]) / inertia)
+    vehicle, tyres = setup.vehicle, setup.options.mismatch.C_af[1] * (1.0 - driver.boost) * driver.trail
+    tyres *= 2.0 * vehicle.C_af / vehicle.steering_ratio**2  # stiffness of the aligning torque at the steering wheel
+    swings = math.sqrt((driver.assist_stiffness + driver.stiffness[1] + tyres) / inertia)
     jumps = actuator.lag == 0.0 and actuator.rate_max is None
     return math.ceil(setup.dt * max(swings, damping / inertia) / _COLUMN_REACH) + jumps
