@@ -88,7 +88,7 @@ def run(law: Controller, options: PlantOptions, scenarios: Scenarios, **more: An
     return simulate(law, scenarios, options=options, trajectories=True, **given)
 
 
-QUICK = ("grip", "arms", "grip, everything", "arms, everything")
+QUICK = ("grip", "arms, everything")
 
 
 @pytest.mark.parametrize(
