@@ -22,7 +22,7 @@ import numpy as np
 
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, SteeringLaw
 from ldctoolkit.controllers import LQR, PreviewProportional
-from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors, Tyres
+from ldctoolkit.plant_options import Actuator, Driver, KalmanFilter, Mismatch, PlantOptions, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, drive, drive_many
 from ldctoolkit.surroundings import usable_cores
 
@@ -234,6 +234,9 @@ OPTIONS = {
     "speed profile": PlantOptions(speed="profile"),
     "saturating tyres": PlantOptions(tyres=REAL.tyres),
     "all of these and mismatch": REAL,
+    "the same with the arms of a driver": dataclasses.replace(
+        REAL, driver=Driver(model="arms", straight=0.4, recorded=0.4, against=0.2)
+    ),
 }
 
 
