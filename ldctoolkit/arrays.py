@@ -20,6 +20,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
+LANES: Final = 8  # Scenarios side by side in compiled code, see `ldctoolkit.lanes`
+
 
 def unmasked(values: Any) -> Any:
     """A masked array as a plain one whose masked entries are missing: NaN, or False; anything else as it is."""

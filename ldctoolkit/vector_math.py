@@ -1,4 +1,4 @@
-"""Compiled functions of a few numbers, without a branch, for loops over vector lanes; cubics and quartics; series."""
+"""Compiled functions of a few numbers, of lanes and floats alike without a branch; cubics and quartics; series."""
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
@@ -9,7 +9,8 @@ import numba
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.numba_internals import OPTIONS, fma
+from ldctoolkit.lanes import fma, select
+from ldctoolkit.numba_internals import OPTIONS
 
 _MOST_PASSES: Final = 40
 _NEAR: Final = 1e-6  # Error of a zero, in parts of the piece; what it costs an integral is its square
@@ -99,11 +100,11 @@ def arctan(x):
     """Arc tangent to 3e-10, without a branch."""
     a = abs(x)
     far, mid = a > 2.414213562373095, a > 0.4142135623730951
-    z = (-1.0 if far else (a - 1.0 if mid else a)) / (a if far else (a + 1.0 if mid else 1.0))
+    z = select(far, -1.0, select(mid, a - 1.0, a)) / select(far, a, select(mid, a + 1.0, 1.0))
     s = z * z
     p = fma(s, fma(s, -0.060260709468774064, 0.10569738007378487), -0.14239520492592156)
     p = fma(s, fma(s, fma(s, p, 0.19998182383953952), -0.3333330688086095), 0.999999999370875)
-    return math.copysign(fma(z, p, 0.5 * math.pi if far else (0.25 * math.pi if mid else 0.0)), x)
+    return math.copysign(fma(z, p, select(far, 0.5 * math.pi, select(mid, 0.25 * math.pi, 0.0))), x)
 
 
 @numba.njit(forceinline=True, **OPTIONS)
@@ -152,7 +153,7 @@ def moments(z, rest):
     s = fma(z, fma(z, fma(z, s, 2.0 / 40320.0), 2.0 / 5040.0), 2.0 / 720.0)
     s = fma(z, fma(z, fma(z, s, 2.0 / 120.0), 2.0 / 24.0), 2.0 / 6.0)
     far = (2.0 - fallen * (2.0 + z * (2.0 + z))) / max(z * z * z, 1e-300)
-    i_2 = fallen * s if z < 1.0 else far
+    i_2 = select(z < 1.0, fallen * s, far)
     i_1 = 0.5 * fma(z, i_2, fallen)
     i_0 = fma(z, i_1, fallen)
     return rest * i_0, rest * rest * i_1, rest * rest * rest * i_2

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, ReadOnly, facts_html, unmasked
+from ldctoolkit.arrays import LANES, BoolArray, FloatArray, Frame, IntArray, ReadOnly, facts_html, unmasked
 from ldctoolkit.control import (
     AssistState,
     Controller,
@@ -504,17 +504,20 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
     score = np.full((d, data.SCORES, m), np.nan)  # a scenario that is left out stays visible
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
     paths, path_row, kept = takeover.empty_paths(rows, reused=rows is takeover.rows)
+    steps = scene[:, data.STEPS]
 
     def drive_any(rows: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
         """The blocks of these rows, by the method of Runge and Kutta."""
-        blocks = np.unique(rows // data.LANES)
+        blocks = np.unique(rows // LANES)
 
         def work(first: int, last: int) -> None:
-            out = score, diverged, failed
+            most = int(steps[blocks[first] * LANES : (blocks[last - 1] + 1) * LANES].max())
+            work = entry.scratch(setting, table, lookaheads, most, int(scene[:, data.SUBSTEPS].max()))
+            out = score, diverged, failed, work, np.zeros(most + 1, dtype=np.int64)
             inputs = scene, setting, table, times, bend, takeover.recorded_steering, paths, path_row
             entry.drive_any(*inputs, blocks[first:last], *out)
 
-        in_threads(work, blocks.size, threads, SCENARIOS_A_TASK // 4 // data.LANES)
+        in_threads(work, blocks.size, threads, SCENARIOS_A_TASK // 4 // LANES)
 
     if not exactly:
         drive_any(np.arange(m), score, diverged, failed)
@@ -524,12 +527,12 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
         exact_path_row[stiff], path_row[stiff.size :] = -1, -1  # a block may hold rows of both kinds
 
         def work(first: int, last: int) -> None:
-            most = int(scene[first * data.LANES : last * data.LANES, data.STEPS].max())
-            out = (score, diverged, failed, *entry.scratch(setting, lookaheads, most))
+            most = int(steps[first * LANES : last * LANES].max())
+            out = score, diverged, failed, entry.scratch(setting, table, lookaheads, most)
             inputs = scene, exact, setting, table, times, bend, paths, exact_path_row
             entry.drive_lanes(*inputs, first, last, *out)
 
-        in_threads(work, -(-m // data.LANES), threads, SCENARIOS_A_TASK // data.LANES)
+        in_threads(work, -(-m // LANES), threads, SCENARIOS_A_TASK // LANES)
         if stiff.size:
             stiff_score, stiff_diverged, stiff_failed = np.empty_like(score), diverged.copy(), failed.copy()
             drive_any(stiff, stiff_score, stiff_diverged, stiff_failed)

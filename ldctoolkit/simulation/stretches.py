@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import LANES, BoolArray, FloatArray, IntArray
 from ldctoolkit.declared import checked_whole
 from ldctoolkit.errors import LdcError
 from ldctoolkit.simulation.kernel import data
@@ -35,20 +35,23 @@ class Stretch:
         path_row: IntArray,
         threads: int | None,
     ) -> None:
-        from ldctoolkit.simulation.kernel import block_table, entry
+        from ldctoolkit.lanes import zeros
+        from ldctoolkit.simulation.kernel import entry
 
         self.entry, self.setting, self.exact, self.paths = entry, takeover.setting, exact, paths
         self.rows, self.recorded, self.steering = rows, takeover.recorded_bend[rows], takeover.recorded_steering[rows]
         self.threads = 1 if exact.size else threads  # an exact step takes less time than to start a thread
-        self.blocks = np.arange(-(-(rows.stop - rows.start) // data.LANES))
-        self.state = np.zeros((self.blocks.size, block_table.rings(self.setting)[-1]))
+        self.blocks = np.arange(-(-(rows.stop - rows.start) // LANES))
+        self.state = zeros(self.blocks.size, entry.table_rows(self.setting), LANES)
+        self.substeps = int(takeover.scene[rows, data.SUBSTEPS].max(initial=1))
         entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
 
     def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
         """What the law sees: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle, driver's torque, and 1
         where the assist yields (m,).
         """
-        self.entry.look(self.setting, self.state, k, self.blocks, times, *(values[self.rows] for values in shown))
+        work = self.entry.sample_scratch(times.size, self.substeps)
+        self.entry.look(self.setting, self.state, work, k, self.blocks, times, *(values[self.rows] for values in shown))
 
     def new_frame(self, k: int) -> FloatArray:
         """e_y and e_psi of the frame that the filter took in when it looked at sample k, (rows, 2); NaN without one."""
@@ -59,13 +62,13 @@ class Stretch:
             return np.full((self.rows.stop - self.rows.start, 2), np.nan)
 
         def lanes(row: int) -> FloatArray:
-            return self.state[:, row : row + data.LANES].ravel()[: self.rows.stop - self.rows.start]
+            return self.state[:, row].ravel()[: self.rows.stop - self.rows.start]
 
         # x = x_predicted + K innovation, and the innovation is frame - x_predicted
-        innovation, gain = [lanes(data.WORK_0), lanes(data.WORK_1)], data.FILTER_ROWS + data.GAIN * data.LANES
+        innovation, gain = [lanes(data.INNOVATION_Y), lanes(data.INNOVATION_PSI)], data.FILTER_ROWS + data.GAIN
         frame = []
         for i, seen in enumerate((data.SEEN_E_Y, data.SEEN_E_PSI)):
-            K = [lanes(gain + (4 * i + j) * data.LANES) for j in range(2)]
+            K = [lanes(gain + 4 * i + j) for j in range(2)]
             frame.append(lanes(seen) - K[0] * innovation[0] - K[1] * innovation[1] + innovation[i])
         return np.stack(frame, axis=1)
 
@@ -76,23 +79,22 @@ class Stretch:
         def work(first: int, last: int) -> None:
             self.sample(k, self.blocks[first:last], commands)
 
-        in_threads(work, self.blocks.size, self.threads, SCENARIOS_A_TASK // data.LANES)
-        going = self.state[:, data.ALIVE : data.ALIVE + data.LANES] > 0.0
+        in_threads(work, self.blocks.size, self.threads, SCENARIOS_A_TASK // LANES)
+        going = self.state[:, data.ALIVE] > 0.0
         self.blocks = np.flatnonzero(going.any(axis=1))
         alive[self.rows] = going.ravel()[: commands.size]
 
     def scores(self) -> tuple[FloatArray, BoolArray]:
         """Scores (columns, rows), and which scenarios diverged (rows,)."""
-        first, last = data.SCORE, data.SCORE + data.SCORES * data.LANES
-        count, shape = self.rows.stop - self.rows.start, (-1, data.SCORES, data.LANES)
-        score = self.state[:, first:last].reshape(shape).swapaxes(0, 1).reshape(data.SCORES, -1)
-        diverged = self.state[:, data.DIVERGED : data.DIVERGED + data.LANES].ravel() > 0.0
+        count = self.rows.stop - self.rows.start
+        score = self.state[:, data.SCORE : data.SCORE + data.SCORES].swapaxes(0, 1).reshape(data.SCORES, -1)
+        diverged = self.state[:, data.DIVERGED].ravel() > 0.0
         return score[:, :count], diverged[:count]
 
     def sample(self, k: int, blocks: IntArray, command: FloatArray) -> None:
         """Sample k of some blocks."""
-        tables = self.recorded, self.steering, self.paths
-        self.entry.go_on(self.exact, self.setting, self.state, *tables, k, blocks, command)
+        work, tables = self.entry.sample_scratch(0, self.substeps), (self.recorded, self.steering, self.paths)
+        self.entry.go_on(self.exact, self.setting, self.state, work, *tables, k, blocks, command)
 
 
 def in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
@@ -130,9 +132,9 @@ class ModelStretch(Stretch):
         assert takeover.setup.vehicle_model is not None
         self.equations = equations(takeover.setup.vehicle_model)
         self.model = self.equations.model
-        lanes = self.state[:, data.N_SUBSTEPS : data.N_SUBSTEPS + data.LANES]
+        lanes = self.state[:, data.N_SUBSTEPS]
         self.parts = lanes.max(axis=1, initial=1).astype(np.int64)
-        self.own = np.zeros((self.blocks.size * data.LANES, takeover.states.shape[1]))
+        self.own = np.zeros((self.blocks.size * LANES, takeover.states.shape[1]))
         self.own[: takeover.m], self.own[takeover.m :] = takeover.states, takeover.states[-1:]
         self.free: list[_Workspace] = []  # Each is used by one thread at a time
         if not self.equations.symbolic:
@@ -144,7 +146,7 @@ class ModelStretch(Stretch):
 
     @staticmethod
     def _pieces(blocks: IntArray) -> list[IntArray]:
-        count = SCENARIOS_A_TASK // data.LANES
+        count = SCENARIOS_A_TASK // LANES
         return [blocks[first : first + count] for first in range(0, blocks.size, count)]
 
     def sample(self, k: int, blocks: IntArray, command: FloatArray) -> None:
@@ -191,13 +193,13 @@ class ModelStretch(Stretch):
                 np.concatenate([work.e[:n, :4], work.own[:n]], axis=1), work.e[:n, 5:9]
             )
         if not np.isfinite(work.a_y[:n]).all():
-            alive = self.state[blocks[rows], data.ALIVE : data.ALIVE + data.LANES].ravel() > 0.0
+            alive = self.state[blocks[rows], data.ALIVE].ravel() > 0.0
             self._fail("a_y", work, alive & ~np.isfinite(work.a_y[:n, 0]))
         self._exchange(work, phase + 1, *call)
 
     def _own(self, work: _Workspace, blocks: IntArray) -> tuple[int, IntArray]:
         """Own states of the lanes of some blocks into the workspace; how many lanes, and which."""
-        lanes = (blocks[:, None] * data.LANES + np.arange(data.LANES)).ravel()
+        lanes = (blocks[:, None] * LANES + np.arange(LANES)).ravel()
         if self.own.size:
             work.own[: lanes.size] = self.own[lanes]
         return lanes.size, lanes
@@ -235,9 +237,9 @@ class _Workspace:
     """Arrays of a piece, where compiled functions read and write."""
 
     def __init__(self, plant: ModelStretch) -> None:
-        blocks, q = min(SCENARIOS_A_TASK // data.LANES, plant.parts.size), plant.own.shape[1]
-        size = -(-blocks * data.LANES // TOGETHER) * TOGETHER
-        self.road, self.ends = np.zeros((blocks, data.ROAD)), np.zeros(blocks, dtype=np.int64)
+        blocks, q = min(SCENARIOS_A_TASK // LANES, plant.parts.size), plant.own.shape[1]
+        size = -(-blocks * LANES // TOGETHER) * TOGETHER
+        self.road, self.ends = np.zeros((blocks, data.ROAD, LANES)), np.zeros(blocks, dtype=np.int64)
         self.ramps = np.zeros(blocks, dtype=np.bool_)
         self.e, self.result, self.a_y = np.ones((size, data.QUESTION)), np.zeros((size, 5)), np.zeros((size, 1))
         self.own, self.own_after = np.zeros((size, q)), np.zeros((size, q))

@@ -18,7 +18,6 @@ from ldctoolkit.plant_options import whole_multiple
 from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle import Plant
 
-LANES: Final = 8  # scenarios side by side, in the vector registers of the processor
 PIECE: Final = 4  # substeps after which scores are taken: about one of the fastest time constants
 
 STIFF: Final = 8
@@ -71,12 +70,10 @@ EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1, EXACT = 12, 16, 20, 24, 28
 
 # ------------------------------------------------------------------------------------------------ the table of a block
 #
-# Eight scenarios stand side by side: a row holds one quantity of all of them, `LANES` numbers one after the other. In
-# the loops `w` is this table, `l` the number of a lane, and w[row + l] the quantity of that lane. All rows lie in one
-# array, at fixed distances, in the order in which they are named here: so the compiler sees that they do not overlap,
-# and works on the lanes of a row together.
+# Eight scenarios stand side by side: a row holds one quantity of all of them. In the loops `w` is this table, w[row]
+# the quantity of all lanes and w[row, l] that of lane l. The rows come in the order in which they are named here.
 
-_rows = itertools.count(0, LANES)
+_rows = itertools.count()
 
 
 def _next(count: int) -> Iterator[int]:
@@ -121,15 +118,12 @@ G_YAW_RATE, G_HEADING = _next(2)  # weights of the lane at a single lookahead ti
 V, PER_T = _next(2)  # v, 1/T
 DDE_E_Y_RATE, DDE_E_PSI, DDE_E_PSI_RATE, DDE_DELTA, DDE_LANE = _next(5)  # row of e_y''
 STEP, *_ = _next(EXACT)
-STEP_E_Y, STEP_E_Y_RATE, STEP_E_PSI, STEP_E_PSI_RATE = (STEP + 3 * n * LANES for n in range(4))  # rows of A
+STEP_E_Y, STEP_E_Y_RATE, STEP_E_PSI, STEP_E_PSI_RATE = (STEP + 3 * n for n in range(4))  # rows of A
 STEP_B, STEP_E_0, STEP_E_1, STEP_AREA_X, STEP_AREA_DELTA, STEP_AREA_R_0, STEP_AREA_R_1 = (
-    STEP + n * LANES for n in (EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1)
+    STEP + n for n in (EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1)
 )
 
-# the road at the time `TIME` [s]: speed, its rate, way since t = 0 and turn of the lane along it; way and turn now
-TIME, MOTION_V, MOTION_DV, MOTION_WAY, MOTION_TURN, WAY_NOW, TURN_NOW = _next(7)
 CURVE_BIAS = next(_rows)  # [1/m] error of the previewed curvature
-COS_1, SIN_1, COS_J, SIN_J, AMPLITUDE = _next(5)  # of pi t/T, of j pi t/T, and of the j-th mode of the speed
 MODES_USED = next(_rows)  # modes of the speed in the block, in every lane
 
 # Runge-Kutta steps: substeps of a segment, their length [s]; of the piece: its length so far, its start since that of
@@ -139,13 +133,11 @@ N_SUBSTEPS, H, PIECE_TIME, PIECE_START, PIECE_ENDS = _next(5)
 V_START, DV_START, PER_V_START, LANE_START = _next(4)
 V_MID, DV_MID, PER_V_MID, LANE_MID = _next(4)
 V_END, DV_END, PER_V_END, LANE_END = _next(4)
-POINTS: Final = V_START  # the twelve rows, also to work in
 # a segment: its length [s], 1 before T, 1 after the delay, length of a substep [s]; decay of a lag over both lengths,
 # and the parabola of that over a substep, see `kernel.road`
 SEGMENT_LENGTH, SEGMENT_IN_T, SEGMENT_AFTER_DELAY, SUBSTEP_LENGTH = _next(4)
 LAG_SEGMENT, LAG_SUBSTEP, LAG_START, LAG_MID, LAG_END = _next(5)
 YOUNG_COMMAND, OLD_COMMAND = _next(2)  # [rad] limited command from the switch on, and before it
-WORK_0, WORK_1, WORK_2, WORK_3 = _next(4)  # rows from elsewhere that are worked on together with others
 # the steering angle along a segment: rate and duration of its ramp, where that starts, what then remains to the command
 RAMP_RATE, RAMP_TIME, RAMP_START, TO_COMMAND = _next(4)
 DELTA_START, DELTA_MID, DELTA_END = _next(3)  # [rad] steering angle of a substep as a parabola
@@ -156,6 +148,7 @@ SAVED, *_ = _next(SCORES)  # scores at the start of the segment
 # yaw rate at the last sample; side of the departure (1 or -1)
 SEEN_E_Y, SEEN_E_Y_RATE, SEEN_E_PSI, SEEN_E_PSI_RATE, WHEEL_SEEN, WHEEL_SEEN_BEFORE = _next(6)
 ESTIMATE, *_ = _next(4)
+INNOVATION_Y, INNOVATION_PSI = _next(2)
 LANE_RATE_SEEN, OUTWARD = _next(2)
 # the vehicle: cornering stiffness of each axle over the mass (over its largest force where tyres saturate), distance of
 # the axles [m], the same times m/I_z, what the printed matrix adds, largest force of each axle over the mass
@@ -165,7 +158,7 @@ INTENT, STRENGTH, REACTION, ACROSS, FREQUENCY, DELTA_PER_A_Y, FORCE_PER_A_Y, TRA
 # the recorded path: y' at the trigger, and the twin that drives it; steering and force that are held
 HOLD_RATE, HOLD_ANGLE, HOLD_FRONT = _next(3)
 TWIN_PSI, TWIN_TURN, TWIN_YAW, TWIN_DELTA, TWIN_FRONT, TWIN_SLIP, TWIN_H, TWIN_STEPS = _next(8)
-TWIN_PSI_BEFORE, TWIN_TURN_BEFORE, TWIN_PSI_AFTER, TWIN_TURN_AFTER = _next(4)
+RECORDED_RATE, RECORDED_BEND = _next(2)
 # over a sample: its start [s]; angle and front force that the driver means at start, middle and end; lateral
 # acceleration of his own now, and where it goes; tension and authority at both ends
 SAMPLE_START = next(_rows)
@@ -185,13 +178,13 @@ RINGS = next(_rows)  # then come the rings, of a length that the run decides; se
 
 def _score(metric: str) -> int:
     """Row of the score of a metric."""
-    return SCORE + LANES * (1 + tuple(SCENARIO_METRICS).index(metric))
+    return SCORE + 1 + tuple(SCENARIO_METRICS).index(metric)
 
 
 # pieces of a sample on a vehicle model: what it is asked, and what follows from its answer
 ASK_AT_TRIGGER, AT_TRIGGER, ASK_COMMANDED, COMMANDED, ASK_STEP, STEPPED, ASK_CUT, AT_CUT, ASK_END, AT_END = range(10)
 QUESTION: Final = 17  # numbers that a model gets for a lane, see `kernel.model_loop`
-ROAD: Final = 4 * (9 + 4) * LANES  # the road of a sample for them: segments without their substeps
+ROAD: Final = 4 * (9 + 4)  # the road of a sample for them: segments without their substeps
 
 AREA: Final = SCORE  # integral of |e_y| up to T
 DEEPEST: Final = _score("deepest")  # max of e_y up to T
@@ -212,7 +205,7 @@ AGAINST_TIME: Final = _score("against_time")
 AGAINST_PARALLEL: Final = _score("against_parallel")
 OVERRIDDEN: Final = _score("overridden")
 HANDOVER_STEP: Final = _score("handover_step")
-ASSIST_STATE: Final = SCORE + LANES * (SCORES - 1)  # `AssistState`
+ASSIST_STATE: Final = SCORE + SCORES - 1  # `AssistState`
 
 
 # ------------------------------------------------------------------------------------------------ numbers of a run
@@ -221,10 +214,10 @@ ASSIST_STATE: Final = SCORE + LANES * (SCORES - 1)  # `AssistState`
 (
     DT, OFFSET, L_FRONT, BOUND, WINDOW, PROFILE, SATURATING, SHAPE, DELTA_MAX, RATE_MAX, LAG, DELAY_SAMPLES, DELAY_PART,
     MODES, EARLIER_FRAMES, CAMERA, PERIOD, CAMERA_DELAY, NOISE_Y, NOISE_PSI, BIAS_Y, BIAS_PSI, STEP_Y, STEP_PSI,
-    CURVATURE_GAIN, SEED_LOW, SEED_HIGH, FILTERED, KNOWN_DELAY, KNOWN_AGE, COMMAND_RING, FRAME_RING, A_Y_RING, WIDTH,
+    CURVATURE_GAIN, SEED_LOW, SEED_HIGH, FILTERED, KNOWN_DELAY, KNOWN_AGE, COMMAND_RING, FRAME_RING, A_Y_RING,
     HELD, ARMS, RATIO, ASSIST_STIFFNESS, ASSIST_DAMPING, TORQUE_MAX, ARM_DAMPING, ARM_LAG, WHEEL_DAMPING, INERTIA,
     RETURN_DAMPING, OVERRIDE_TORQUE, OVERRIDE_TIME, RAMP, RETURN_AFTER, GRIP_STEPS,
-) = range(50)  # fmt: skip
+) = range(49)  # fmt: skip
 
 
 def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window: float) -> FloatArray:
@@ -286,7 +279,6 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         RAMP: driver.ramp,
         RETURN_AFTER: driver.return_after,
         GRIP_STEPS: 4,  # within a substep
-        WIDTH: LANES,  # unknown to the compiler, which would unroll a short loop over the lanes instead
     }
     return np.array([values[n] for n in range(len(values))], dtype=np.float64)
 

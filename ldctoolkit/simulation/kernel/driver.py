@@ -20,7 +20,8 @@ from typing import Final
 import numba
 
 from ldctoolkit.control import AssistState
-from ldctoolkit.numba_internals import OPTIONS, copy, fma, larger
+from ldctoolkit.lanes import fma, select
+from ldctoolkit.numba_internals import OPTIONS
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.kernel.actuator import parabola
 from ldctoolkit.simulation.kernel.block_table import ACTIVE, SAME, L
@@ -45,82 +46,81 @@ _MOST: Final = 0.999  # share of its largest force that a tyre is steered to
 
 
 @numba.njit(**OPTIONS)
-def _recorded_motion(setting, w, motion, block):
-    """Rates y' and y'' of the recorded path at the times in `TIME`, into `WORK_0` and `WORK_1`.
+def _recorded_motion(setting, w, motion, block, t):
+    """Rates y' and y'' of the recorded path at times t.
 
     After T the driver straightens: y'' = (A + B s) exp(-s/tau) goes on with the value and the slope that it has at T.
     """
-    h, tau, table = 0.5 * setting[data.DT], data.STRAIGHTENS_IN, motion.shape[0] > 0
-    for l in range(L if table else 0):
-        i = min(block * L + l, motion.shape[0] - 1)
-        at = (w[data.TIME + l] - w[data.T_0 + l]) / h
-        j = min(int(at + SAME), motion.shape[1] - 2)
-        u = min(max(at - j, 0.0), 1.0)
-        # the cubic through y' at both ends with the slopes y'', and its own slope
-        rate, bend, bend_after = motion[i, j, 0], motion[i, j, 1], motion[i, j + 1, 1]
-        rise = motion[i, j + 1, 0] - rate
-        a, b = h * (bend + bend_after) - 2.0 * rise, 3.0 * rise - h * (2.0 * bend + bend_after)
-        w[data.WORK_0 + l] = rate + u * (h * bend + u * (b + u * a))
-        w[data.WORK_1 + l] = bend + u * (2.0 * b + 3.0 * u * a) / h
-    for l in range(0 if table else int(setting[data.WIDTH])):
-        a, b = w[data.T_0 + l], min(w[data.TIME + l], w[data.T + l])
-        c_0, c_1, c_2, after = w[data.BEND_0 + l], w[data.BEND_1 + l], w[data.BEND_2 + l], w[data.TIME + l] - b
-        bend, slope = fma(b, fma(b, c_2, c_1), c_0), fma(2.0 * b, c_2, c_1)
-        whole = b * fma(b, fma(b, c_2 * (1.0 / 3.0), 0.5 * c_1), c_0)
-        rate = w[data.HOLD_RATE + l] + (whole - a * fma(a, fma(a, c_2 * (1.0 / 3.0), 0.5 * c_1), c_0))
-        fallen, steep = decay(-max(after, 0.0) / tau), fma(bend, 1.0 / tau, slope)
-        w[data.WORK_0 + l] = rate + tau * (fma(tau, steep, bend) * (1.0 - fallen) - steep * after * fallen)
-        w[data.WORK_1 + l] = fma(steep, after, bend) * fallen
+    h, tau = 0.5 * setting[data.DT], data.STRAIGHTENS_IN
+    if motion.shape[0] > 0:
+        w[data.RECORDED_RATE] = (t - w[data.T_0]) / h
+        for l in range(L):
+            i, at = min(block * L + l, motion.shape[0] - 1), w[data.RECORDED_RATE, l]
+            j = min(int(at + SAME), motion.shape[1] - 2)
+            u = min(max(at - j, 0.0), 1.0)
+            # the cubic through y' at both ends with the slopes y'', and its own slope
+            rate, bend, bend_after = motion[i, j, 0], motion[i, j, 1], motion[i, j + 1, 1]
+            rise = motion[i, j + 1, 0] - rate
+            a, b = h * (bend + bend_after) - 2.0 * rise, 3.0 * rise - h * (2.0 * bend + bend_after)
+            w[data.RECORDED_RATE, l] = rate + u * (h * bend + u * (b + u * a))
+            w[data.RECORDED_BEND, l] = bend + u * (2.0 * b + 3.0 * u * a) / h
+        return w[data.RECORDED_RATE], w[data.RECORDED_BEND]
+    start, end = w[data.T_0], min(t, w[data.T])
+    c_0, c_1, c_2, after = w[data.BEND_0], w[data.BEND_1], w[data.BEND_2], t - end
+    bend_at_end, slope = fma(end, fma(end, c_2, c_1), c_0), fma(2.0 * end, c_2, c_1)
+    whole = end * fma(end, fma(end, c_2 * (1.0 / 3.0), 0.5 * c_1), c_0)
+    rate_at_end = w[data.HOLD_RATE] + (whole - start * fma(start, fma(start, c_2 * (1.0 / 3.0), 0.5 * c_1), c_0))
+    fallen, steep = decay(-max(after, 0.0) / tau), fma(bend_at_end, 1.0 / tau, slope)
+    faded = fma(tau, steep, bend_at_end) * (1.0 - fallen) - steep * after * fallen
+    return rate_at_end + tau * faded, fma(steep, after, bend_at_end) * fallen
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _angle_of_force(w, l, force, shape, slip):
+def _angle_of_force(w, force, shape, slip):
     """Slip angle of a front tyre with this force over the mass, by two of Newton's steps from an angle nearby."""
-    share = force / w[data.GRIP_F + l]
+    share = force / w[data.GRIP_F]
     for _ in range(2):
-        stiff = w[data.STIFFNESS_F + l] * slip
+        stiff = w[data.STIFFNESS_F] * slip
         angle = shape * arctan(stiff)
-        slope = shape * w[data.STIFFNESS_F + l] * max(cosine(angle), 0.02) / fma(stiff, stiff, 1.0)
+        slope = shape * w[data.STIFFNESS_F] * max(cosine(angle), 0.02) / fma(stiff, stiff, 1.0)
         slip -= (sine(angle) - share) / slope
-        largest = 3.0 / w[data.STIFFNESS_F + l]
+        largest = 3.0 / w[data.STIFFNESS_F]
         slip = min(max(slip, -largest), largest)
     return slip
 
 
 @numba.njit(**OPTIONS)
-def _steer_along(setting, w):
-    """Front force, steering angle and yaw acceleration with which the twin moves as recorded.
+def _steer_along(setting, w, t, dv, p, bend):
+    """Front force, steering angle and yaw acceleration with which the twin moves as recorded at times t.
 
-    The equations of `rk4_loop`, solved for the front force, from y' and y'' in `WORK_0` and `WORK_1`.
+    The equations of `rk4_loop`, solved for the front force, from y' and y''; the road stands in the rows from `V_START`
+    on, dv is the rate of the speed before T.
     """
     saturating, shape = setting[data.SATURATING] > 0.0, setting[data.SHAPE]
-    for l in range(int(setting[data.WIDTH])):
-        p, bend = w[data.WORK_0 + l], w[data.WORK_1 + l]
-        psi, turn = w[data.TWIN_PSI + l], w[data.TWIN_TURN + l]
-        v, per_v, lane = w[data.V_START + l], w[data.PER_V_START + l], w[data.LANE_START + l]
-        dv = w[data.MOTION_DV + l] if w[data.TIME + l] < w[data.T + l] else 0.0
-        omega, delta = turn + lane, w[data.TWIN_DELTA + l]
-        if saturating:
-            sin_psi, cos_psi = sine(psi), cosine(psi)
-            across = fma(-v, sin_psi, p) / cos_psi
-            slip_rear = arctan(fma(w[data.AXLE_R + l], omega, -across) * per_v)
-            rear = w[data.GRIP_R + l] * sine(shape * arctan(w[data.STIFFNESS_R + l] * slip_rear))
-            a_y = (bend - fma(dv, sin_psi, turn * fma(v, cos_psi, -across * sin_psi))) / cos_psi + v * omega
-            most = _MOST * w[data.GRIP_F + l] * cosine(delta)  # beyond it the path is not driven
-            front = min(max(a_y - rear, -most), most)
-            slip = _angle_of_force(w, l, front / cosine(delta), shape, w[data.TWIN_SLIP + l])
-            delta = slip + arctan(fma(w[data.AXLE_F + l], omega, across) * per_v)
-        else:
-            across = fma(-v, psi, p)
-            rear = w[data.STIFFNESS_R + l] * (per_v * fma(w[data.AXLE_R + l], omega, -across))
-            slip = 0.0
-            front = fma(v, lane, fma(w[data.PRINTED_TERM + l] * turn, per_v, fma(-dv, psi, bend))) - rear
-            delta = front / w[data.STIFFNESS_F + l] + per_v * fma(w[data.AXLE_F + l], omega, across)
-        moves, yaw = w[data.TWIN_H + l] > 0.0, fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear)
-        w[data.TWIN_SLIP + l] = slip if moves else w[data.TWIN_SLIP + l]  # no more of Newton's steps than alone
-        w[data.TWIN_DELTA + l] = delta if moves else w[data.TWIN_DELTA + l]
-        w[data.TWIN_FRONT + l] = front if moves else w[data.TWIN_FRONT + l]
-        w[data.TWIN_YAW + l] = yaw if moves else w[data.TWIN_YAW + l]
+    psi, turn = w[data.TWIN_PSI], w[data.TWIN_TURN]
+    v, per_v, lane = w[data.V_START], w[data.PER_V_START], w[data.LANE_START]
+    dv = select(t < w[data.T], dv, 0.0)
+    omega, delta, slip = turn + lane, w[data.TWIN_DELTA], w[data.TWIN_SLIP]
+    if saturating:
+        sin_psi, cos_psi = sine(psi), cosine(psi)
+        across = fma(-v, sin_psi, p) / cos_psi
+        slip_rear = arctan(fma(w[data.AXLE_R], omega, -across) * per_v)
+        rear = w[data.GRIP_R] * sine(shape * arctan(w[data.STIFFNESS_R] * slip_rear))
+        a_y = (bend - fma(dv, sin_psi, turn * fma(v, cos_psi, -across * sin_psi))) / cos_psi + v * omega
+        most = _MOST * w[data.GRIP_F] * cosine(delta)  # beyond it the path is not driven
+        front = min(max(a_y - rear, -most), most)
+        slip = _angle_of_force(w, front / cosine(delta), shape, slip)
+        delta = slip + arctan(fma(w[data.AXLE_F], omega, across) * per_v)
+    else:
+        across = fma(-v, psi, p)
+        rear = w[data.STIFFNESS_R] * (per_v * fma(w[data.AXLE_R], omega, -across))
+        front = fma(v, lane, fma(w[data.PRINTED_TERM] * turn, per_v, fma(-dv, psi, bend))) - rear
+        delta = front / w[data.STIFFNESS_F] + per_v * fma(w[data.AXLE_F], omega, across)
+    moves, yaw = w[data.TWIN_H] > 0.0, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear)
+    w[data.TWIN_SLIP] = select(moves, slip, w[data.TWIN_SLIP])  # no more of Newton's steps than alone
+    w[data.TWIN_DELTA] = select(moves, delta, w[data.TWIN_DELTA])
+    w[data.TWIN_FRONT] = select(moves, front, w[data.TWIN_FRONT])
+    w[data.TWIN_YAW] = select(moves, yaw, w[data.TWIN_YAW])
 
 
 @numba.njit(**OPTIONS)
@@ -129,25 +129,21 @@ def lay_recorded(setting, w, motion, block, k, intended, to):
 
     The yaw motion of a twin on the recorded path, by Runge and Kutta's method; each sample once and in order.
     """
-    half, most = 0.5 * setting[data.DT], 1
+    half, most, t = 0.5 * setting[data.DT], 1, w[data.T_0] + k * setting[data.DT]
     for l in range(L):
-        w[data.TWIN_STEPS + l] = math.ceil(max(w[data.N_SUBSTEPS + l], 1.0) * (1.0 / 6.0))
-        most = max(most, int(w[data.TWIN_STEPS + l]))
-        w[data.TIME + l], w[data.TWIN_H + l] = w[data.T_0 + l] + k * setting[data.DT], 1.0
+        w[data.TWIN_STEPS, l] = math.ceil(max(w[data.N_SUBSTEPS, l], 1.0) * (1.0 / 6.0))
+        most = max(most, int(w[data.TWIN_STEPS, l]))
+    w[data.TWIN_H] = 1.0
     if k == 0:
-        copy(w, data.HOLD_RATE, w, data.E_Y_RATE, 1)
-        copy(w, data.TWIN_PSI, w, data.E_PSI, 2)
-        copy(w, data.TWIN_DELTA, w, data.WHEEL, 1)
-        for l in range(L):
-            w[data.TWIN_SLIP + l] = 0.0
-    lay_time(setting, w)
-    _recorded_motion(setting, w, motion, block)
+        w[data.HOLD_RATE], w[data.TWIN_DELTA], w[data.TWIN_SLIP] = w[data.E_Y_RATE], w[data.WHEEL], 0.0
+        w[data.TWIN_PSI], w[data.TWIN_TURN] = w[data.E_PSI], w[data.E_PSI_RATE]
+    dv = lay_time(setting, w, t)
+    rate, bend = _recorded_motion(setting, w, motion, block, t)
     for _ in range(4 if k == 0 else 0):
-        _steer_along(setting, w)
-    copy(intended, to + 6 * L, w, data.WORK_1, 1)
+        _steer_along(setting, w, t, dv, rate, bend)
+    intended[to + 6] = bend
     for n in range(3):
-        copy(intended, to + n * L, w, data.TWIN_DELTA, 1)
-        copy(intended, to + (3 + n) * L, w, data.TWIN_FRONT, 1)
+        intended[to + n], intended[to + 3 + n] = w[data.TWIN_DELTA], w[data.TWIN_FRONT]
         for j in range(most if n < 2 else 0):
             _twin_step(setting, w, motion, block, k * setting[data.DT] + half * n, j)
 
@@ -155,29 +151,24 @@ def lay_recorded(setting, w, motion, block, k, intended, to):
 @numba.njit(**OPTIONS)
 def _twin_step(setting, w, motion, block, since, j):
     """Step j of the twin in the half sample that begins so long after the trigger."""
-    for l in range(L):
-        w[data.TWIN_H + l] = 0.5 * setting[data.DT] / w[data.TWIN_STEPS + l] if j < w[data.TWIN_STEPS + l] else 0.0
-    copy(w, data.TWIN_PSI_BEFORE, w, data.TWIN_PSI, 2)
-    copy(w, data.TWIN_PSI_AFTER, w, data.TWIN_PSI, 2)
+    half = 0.5 * setting[data.DT]
+    h = select(w[data.TWIN_STEPS] > j, half / w[data.TWIN_STEPS], 0.0)
+    w[data.TWIN_H] = h
+    psi_before, turn_before = w[data.TWIN_PSI], w[data.TWIN_TURN]
+    psi_after, turn_after = psi_before, turn_before
+    t, dv, rate, bend = h, h, h, h
     for stage in range(4):
         weight, reach = (1.0 / 6.0) if stage % 3 == 0 else (1.0 / 3.0), 0.5 if stage < 2 else 1.0
-        for l in range(int(setting[data.WIDTH])):
-            h, turn, yaw = w[data.TWIN_H + l], w[data.TWIN_TURN + l], w[data.TWIN_YAW + l]
-            w[data.TIME + l] = w[data.T_0 + l] + (since + min(fma(h, reach, j * h), 0.5 * setting[data.DT]))
-            w[data.TIME + l] += 0.5 * setting[data.DT] if h == 0.0 else 0.0
-            psi_after = fma(weight * h, turn, w[data.TWIN_PSI_AFTER + l])
-            turn_after = fma(weight * h, yaw, w[data.TWIN_TURN_AFTER + l])
-            w[data.TWIN_PSI_AFTER + l], w[data.TWIN_TURN_AFTER + l] = psi_after, turn_after
-            psi, rate = (
-                fma(reach * h, turn, w[data.TWIN_PSI_BEFORE + l]),
-                fma(reach * h, yaw, w[data.TWIN_TURN_BEFORE + l]),
-            )
-            w[data.TWIN_PSI + l] = psi_after if stage == 3 else psi
-            w[data.TWIN_TURN + l] = turn_after if stage == 3 else rate
+        turn, yaw = w[data.TWIN_TURN], w[data.TWIN_YAW]
+        psi_after, turn_after = fma(weight * h, turn, psi_after), fma(weight * h, yaw, turn_after)
+        w[data.TWIN_PSI], w[data.TWIN_TURN] = fma(reach * h, turn, psi_before), fma(reach * h, yaw, turn_before)
+        if stage == 3:
+            w[data.TWIN_PSI], w[data.TWIN_TURN] = psi_after, turn_after
+        t = w[data.T_0] + (since + min(fma(h, reach, j * h), half)) + select(h == 0.0, half, 0.0)
         if stage % 2 == 0:
-            lay_time(setting, w)
-            _recorded_motion(setting, w, motion, block)
-        _steer_along(setting, w)
+            dv = lay_time(setting, w, t)
+            rate, bend = _recorded_motion(setting, w, motion, block, t)
+        _steer_along(setting, w, t, dv, rate, bend)
 
 
 # ------------------------------------------------------------------------------------------------ what he means
@@ -189,32 +180,31 @@ def begin_sample(setting, w, k, intended, to):
     dt = setting[data.DT]
     at_once = setting[data.RAMP] == 0.0
     ramp = 1.0 if at_once else dt / setting[data.RAMP]
-    copy(w, data.MEANT_START, intended, to, 6)
+    for n in range(6):
+        w[data.MEANT_START + n] = intended[to + n]
     if k == 0:
-        copy(w, data.HOLD_FRONT, intended, to + 3 * L, 1)
-        copy(w, data.HOLD_ANGLE, w, data.WHEEL, 1)
-    copy(w, data.WORK_0, intended, to + 6 * L, 1)
+        w[data.HOLD_FRONT] = intended[to + 3]
+        w[data.HOLD_ANGLE] = w[data.WHEEL]
     t, steers_out = k * dt, k * dt < _ACROSS_FOR - SAME
-    for l in range(int(setting[data.WIDTH])):
-        intent, reaction, f = w[data.INTENT + l], w[data.REACTION + l], w[data.FREQUENCY + l]
-        back = -f * fma(f, w[data.E_Y + l], 2.0 * setting[data.RETURN_DAMPING] * w[data.E_Y_RATE + l])
-        back = min(max(back, -_HARDEST), _HARDEST)
-        returns, holds = (intent == _RETURNS) & (t >= reaction - SAME), intent == _STRAIGHT
-        target = back if returns else (w[data.ACROSS + l] if steers_out else 0.0)
-        target = target - w[data.WORK_0 + l] if returns | (intent == _AGAINST) else 0.0
-        w[data.OWN_TARGET + l] = target
-        angle, force = w[data.HOLD_ANGLE + l], w[data.HOLD_FRONT + l]
-        for n in range(3):
-            w[data.MEANT_START + n * L + l] = angle if holds else w[data.MEANT_START + n * L + l]
-            w[data.MEANT_FORCE_START + n * L + l] = force if holds else w[data.MEANT_FORCE_START + n * L + l]
-        late = min(max((t - reaction) * (1.0 / _RELAXES_IN), 0.0), 1.0)
-        later = min(max((t + dt - reaction) * (1.0 / _RELAXES_IN), 0.0), 1.0)
-        gives = _RELAXED - 1.0 if intent == _FOLLOWS else 0.0
-        w[data.TENSE_START + l], w[data.TENSE_END + l] = fma(gives, late, 1.0), fma(gives, later, 1.0)
-        authority = w[data.AUTHORITY + l]
-        end = authority + (ramp if w[data.ASSIST_STATE + l] == ACTIVE else -ramp)
-        end = 1.0 if end > 1.0 - SAME else (end if end > SAME else 0.0)  # whole ramps, whatever their rounding
-        w[data.AUTHORITY_START + l], w[data.AUTHORITY + l] = end if at_once else authority, end
+    intent, reaction, f = w[data.INTENT], w[data.REACTION], w[data.FREQUENCY]
+    back = -f * fma(f, w[data.E_Y], 2.0 * setting[data.RETURN_DAMPING] * w[data.E_Y_RATE])
+    back = min(max(back, -_HARDEST), _HARDEST)
+    returns, holds = (intent == _RETURNS) & (t >= reaction - SAME), intent == _STRAIGHT
+    target = select(returns, back, select(steers_out, w[data.ACROSS], 0.0))
+    target = select(returns | (intent == _AGAINST), target - intended[to + 6], 0.0)
+    w[data.OWN_TARGET] = target
+    angle, force = w[data.HOLD_ANGLE], w[data.HOLD_FRONT]
+    for n in range(3):
+        w[data.MEANT_START + n] = select(holds, angle, w[data.MEANT_START + n])
+        w[data.MEANT_FORCE_START + n] = select(holds, force, w[data.MEANT_FORCE_START + n])
+    late = min(max((t - reaction) * (1.0 / _RELAXES_IN), 0.0), 1.0)
+    later = min(max((t + dt - reaction) * (1.0 / _RELAXES_IN), 0.0), 1.0)
+    gives = select(intent == _FOLLOWS, _RELAXED - 1.0, 0.0)
+    w[data.TENSE_START], w[data.TENSE_END] = fma(gives, late, 1.0), fma(gives, later, 1.0)
+    authority = w[data.AUTHORITY]
+    end = authority + select(w[data.ASSIST_STATE] == ACTIVE, ramp, -ramp)
+    end = select(end > 1.0 - SAME, 1.0, select(end > SAME, end, 0.0))  # whole ramps, whatever their rounding
+    w[data.AUTHORITY_START], w[data.AUTHORITY] = select(at_once, end, authority), end
 
 
 @numba.njit(**OPTIONS)
@@ -224,25 +214,24 @@ def supervise(setting, w, k):
     dt, after = setting[data.DT], setting[data.RETURN_AFTER]
     hold, calm = setting[data.OVERRIDE_TIME] - SAME, after - SAME if after > 0.0 else math.inf
     firm, limit = setting[data.OVERRIDE_TORQUE], setting[data.TORQUE_MAX] * (1.0 - SAME)
-    for l in range(int(setting[data.WIDTH])):
-        alive, state, authority = w[data.ALIVE + l] > 0.0, w[data.ASSIST_STATE + l], w[data.AUTHORITY + l]
-        beyond, step = abs(w[data.TORQUE + l]) > firm, abs(w[data.ASSIST + l]) * share
-        count = w[data.BEYOND + l] + 1.0
-        long_beyond = count if beyond else 0.0
-        trips = (state == ACTIVE) & beyond & (long_beyond * dt >= hold)
-        leaves = (authority == 0.0) & ((state == _OVERRIDDEN) | trips)
-        long_calm = 0.0 if beyond else (1.0 if leaves else count)
-        comes_back = ((state == _RELEASED) | leaves) & (long_calm * dt >= calm)
-        after_it = _OVERRIDDEN if trips else state
-        after_it = ACTIVE if comes_back else (_RELEASED if leaves else after_it)
-        passed = long_beyond if state == ACTIVE else long_calm
-        w[data.BEYOND + l] = 0.0 if comes_back | trips else passed
-        w[data.ASSIST_STATE + l] = after_it if alive else state
-        w[data.OVERRIDDEN + l] = 1.0 if trips & alive else w[data.OVERRIDDEN + l]
-        hands_over = trips | ((k + 1 == w[data.ALL_STEPS + l]) & (after_it == ACTIVE))
-        w[data.HANDOVER_STEP + l] = larger(w[data.HANDOVER_STEP + l], step if hands_over & alive else 0.0)
-        yields = (abs(w[data.ASSIST + l]) >= limit) | (after_it != ACTIVE) | (authority < 1.0)
-        w[data.YIELDING + l] = 1.0 if yields else w[data.YIELDING + l]
+    alive, state, authority = w[data.ALIVE] > 0.0, w[data.ASSIST_STATE], w[data.AUTHORITY]
+    beyond, step = abs(w[data.TORQUE]) > firm, abs(w[data.ASSIST]) * share
+    count = w[data.BEYOND] + 1.0
+    long_beyond = select(beyond, count, 0.0)
+    trips = (state == ACTIVE) & beyond & (long_beyond * dt >= hold)
+    leaves = (authority == 0.0) & ((state == _OVERRIDDEN) | trips)
+    long_calm = select(beyond, 0.0, select(leaves, 1.0, count))
+    comes_back = ((state == _RELEASED) | leaves) & (long_calm * dt >= calm)
+    after_it = select(trips, _OVERRIDDEN, state)
+    after_it = select(comes_back, ACTIVE, select(leaves, _RELEASED, after_it))
+    passed = select(state == ACTIVE, long_beyond, long_calm)
+    w[data.BEYOND] = select(comes_back | trips, 0.0, passed)
+    w[data.ASSIST_STATE] = select(alive, after_it, state)
+    w[data.OVERRIDDEN] = select(trips & alive, 1.0, w[data.OVERRIDDEN])
+    hands_over = trips | ((k + 1 == w[data.ALL_STEPS]) & (after_it == ACTIVE))
+    w[data.HANDOVER_STEP] = max(w[data.HANDOVER_STEP], select(hands_over & alive, step, 0.0))
+    yields = (abs(w[data.ASSIST]) >= limit) | (after_it != ACTIVE) | (authority < 1.0)
+    w[data.YIELDING] = select(yields, 1.0, w[data.YIELDING])
 
 
 # ------------------------------------------------------------------------------------------------ the column
@@ -251,10 +240,10 @@ def supervise(setting, w, k):
 @numba.njit(**OPTIONS)
 def begin_segment(w):
     """Take back what the actuator scored: the wheels move otherwise, and its angle is what the assist follows."""
-    copy(w, data.REFERENCE, w, data.WHEEL, 1)
-    copy(w, data.WHEEL, w, data.HELD_WHEEL, 1)
+    w[data.REFERENCE] = w[data.WHEEL]
+    w[data.WHEEL] = w[data.HELD_WHEEL]
     for row in (data.DELTA_PEAK, data.EFFORT, data.TRAVEL):
-        copy(w, row, w, data.SAVED + row - data.SCORE, 1)
+        w[row] = w[data.SAVED + row - data.SCORE]
 
 
 @numba.njit(**OPTIONS)
@@ -262,78 +251,75 @@ def lay(setting, w):
     """What acts along a substep, as polynomials in the time since its start."""
     direct = setting[data.LAG] == 0.0 and setting[data.RATE_MAX] == math.inf
     per_dt, ratio = 1.0 / setting[data.DT], setting[data.RATIO] if setting[data.ARMS] > 0.0 else 1.0
-    for l in range(int(setting[data.WIDTH])):
-        w[data.PARALLEL + l] = 1.0 if w[data.NEXT_E_Y_RATE + l] <= 0.0 else w[data.PARALLEL + l]
-        w[data.MOMENT_0 + l] = w[data.MOMENT_1 + l] = w[data.MOMENT_2 + l] = 0.0
-        h, u = w[data.H + l], w[data.COMMAND + l]
-        a, b, c = w[data.DELTA_START + l], w[data.DELTA_MID + l], w[data.DELTA_END + l]
-        a, b, c = u if direct else a, u if direct else b, u if direct else c
-        per_h = 1.0 / h if h > 0.0 else 0.0
-        w[data.REF_0 + l], w[data.REF_1 + l] = ratio * a, ratio * (4.0 * b - 3.0 * a - c) * per_h
-        w[data.REF_2 + l] = ratio * 2.0 * (a + c - 2.0 * b) * per_h * per_h
-        s = (w[data.PIECE_START + l] + w[data.PIECE_TIME + l] - w[data.SAMPLE_START + l]) * per_dt
-        half = decay(-0.5 * _LAG * h)  # what his own acceleration wants, at start, middle and end of the substep
-        u, e = fma(0.5 * h, per_dt, s), fma(h, per_dt, s)
-        target = w[data.OWN_TARGET + l]
-        q_a = w[data.OWN_A_Y + l]
-        q_b = fma(q_a - target, half, target)
-        q_c = fma(q_b - target, half, target)
-        w[data.OWN_A_Y + l] = q_c if h > 0.0 else q_a
-        a, b, c = w[data.MEANT_START + l], w[data.MEANT_MID + l], w[data.MEANT_END + l]
-        d_1, d_2, gain = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b), w[data.DELTA_PER_A_Y + l]
-        b, c = ratio * fma(gain, q_b, fma(u, fma(u, d_2, d_1), a)), ratio * fma(gain, q_c, fma(e, fma(e, d_2, d_1), a))
-        a = ratio * fma(gain, q_a, fma(s, fma(s, d_2, d_1), a))
-        w[data.MEANT_0 + l], w[data.MEANT_1 + l] = a, (4.0 * b - 3.0 * a - c) * per_h
-        w[data.MEANT_2 + l] = 2.0 * (a + c - 2.0 * b) * per_h * per_h
-        a, b, c = w[data.MEANT_FORCE_START + l], w[data.MEANT_FORCE_MID + l], w[data.MEANT_FORCE_END + l]
-        d_1, d_2, gain = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b), w[data.FORCE_PER_A_Y + l]
-        trail = w[data.TRAIL_TORQUE + l]
-        b, c = trail * fma(gain, q_b, fma(u, fma(u, d_2, d_1), a)), trail * fma(gain, q_c, fma(e, fma(e, d_2, d_1), a))
-        a = trail * fma(gain, q_a, fma(s, fma(s, d_2, d_1), a))
-        w[data.FEED_0 + l], w[data.FEED_1 + l] = a, (4.0 * b - 3.0 * a - c) * per_h
-        w[data.FEED_2 + l] = 2.0 * (a + c - 2.0 * b) * per_h * per_h
-        for n in range(2):
-            start, end = w[data.TENSE_START + 2 * n * L + l], w[data.TENSE_END + 2 * n * L + l]
-            w[data.TENSE_0 + 2 * n * L + l] = fma(s, end - start, start)
-            w[data.TENSE_1 + 2 * n * L + l] = (end - start) * per_dt
+    w[data.PARALLEL] = select(w[data.NEXT_E_Y_RATE] <= 0.0, 1.0, w[data.PARALLEL])
+    w[data.MOMENT_0] = w[data.MOMENT_1] = w[data.MOMENT_2] = 0.0
+    h, u = w[data.H], w[data.COMMAND]
+    a, b, c = w[data.DELTA_START], w[data.DELTA_MID], w[data.DELTA_END]
+    a, b, c = select(direct, u, a), select(direct, u, b), select(direct, u, c)
+    per_h = select(h > 0.0, 1.0 / h, 0.0)
+    w[data.REF_0], w[data.REF_1] = ratio * a, ratio * (4.0 * b - 3.0 * a - c) * per_h
+    w[data.REF_2] = ratio * 2.0 * (a + c - 2.0 * b) * per_h * per_h
+    s = (w[data.PIECE_START] + w[data.PIECE_TIME] - w[data.SAMPLE_START]) * per_dt
+    half = decay(-0.5 * _LAG * h)  # what his own acceleration wants, at start, middle and end of the substep
+    u, e = fma(0.5 * h, per_dt, s), fma(h, per_dt, s)
+    target = w[data.OWN_TARGET]
+    q_a = w[data.OWN_A_Y]
+    q_b = fma(q_a - target, half, target)
+    q_c = fma(q_b - target, half, target)
+    w[data.OWN_A_Y] = select(h > 0.0, q_c, q_a)
+    a, b, c = w[data.MEANT_START], w[data.MEANT_MID], w[data.MEANT_END]
+    d_1, d_2, gain = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b), w[data.DELTA_PER_A_Y]
+    b, c = ratio * fma(gain, q_b, fma(u, fma(u, d_2, d_1), a)), ratio * fma(gain, q_c, fma(e, fma(e, d_2, d_1), a))
+    a = ratio * fma(gain, q_a, fma(s, fma(s, d_2, d_1), a))
+    w[data.MEANT_0], w[data.MEANT_1] = a, (4.0 * b - 3.0 * a - c) * per_h
+    w[data.MEANT_2] = 2.0 * (a + c - 2.0 * b) * per_h * per_h
+    a, b, c = w[data.MEANT_FORCE_START], w[data.MEANT_FORCE_MID], w[data.MEANT_FORCE_END]
+    d_1, d_2, gain = 4.0 * b - 3.0 * a - c, 2.0 * (a + c - 2.0 * b), w[data.FORCE_PER_A_Y]
+    trail = w[data.TRAIL_TORQUE]
+    b, c = trail * fma(gain, q_b, fma(u, fma(u, d_2, d_1), a)), trail * fma(gain, q_c, fma(e, fma(e, d_2, d_1), a))
+    a = trail * fma(gain, q_a, fma(s, fma(s, d_2, d_1), a))
+    w[data.FEED_0], w[data.FEED_1] = a, (4.0 * b - 3.0 * a - c) * per_h
+    w[data.FEED_2] = 2.0 * (a + c - 2.0 * b) * per_h * per_h
+    for n in range(2):
+        start, end = w[data.TENSE_START + 2 * n], w[data.TENSE_END + 2 * n]
+        w[data.TENSE_0 + 2 * n] = fma(s, end - start, start)
+        w[data.TENSE_1 + 2 * n] = (end - start) * per_dt
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def column(w, l, s, angle, rate, align, k_a, b_a, b_d, b_w, limit, per_inertia):
+def column(w, s, angle, rate, align, k_a, b_a, b_d, b_w, limit, per_inertia):
     """Acceleration of the column, and both torques, at the time s of a substep with this aligning torque."""
-    meant = fma(s, fma(s, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
-    meant_rate = fma(2.0 * s, w[data.MEANT_2 + l], w[data.MEANT_1 + l])
-    reference = fma(s, fma(s, w[data.REF_2 + l], w[data.REF_1 + l]), w[data.REF_0 + l])
-    feed = fma(s, fma(s, w[data.FEED_2 + l], w[data.FEED_1 + l]), w[data.FEED_0 + l])
-    tense, authority = fma(s, w[data.TENSE_1 + l], w[data.TENSE_0 + l]), fma(s, w[data.AUTH_1 + l], w[data.AUTH_0 + l])
+    meant = fma(s, fma(s, w[data.MEANT_2], w[data.MEANT_1]), w[data.MEANT_0])
+    meant_rate = fma(2.0 * s, w[data.MEANT_2], w[data.MEANT_1])
+    reference = fma(s, fma(s, w[data.REF_2], w[data.REF_1]), w[data.REF_0])
+    feed = fma(s, fma(s, w[data.FEED_2], w[data.FEED_1]), w[data.FEED_0])
+    tense, authority = fma(s, w[data.TENSE_1], w[data.TENSE_0]), fma(s, w[data.AUTH_1], w[data.AUTH_0])
     assist = authority * min(max(fma(k_a, reference - angle, fma(-b_a, rate, align)), -limit), limit)
-    arms = tense * fma(w[data.STRENGTH + l], meant - angle, b_d * (meant_rate - rate))
+    arms = tense * fma(w[data.STRENGTH], meant - angle, b_d * (meant_rate - rate))
     torque = fma(1.0 - authority, feed, arms)
     return (assist + torque - align - b_w * rate) * per_inertia, assist, torque
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def score(w, l, h, before, assist_before, torque, assist, middle, mean, angle_before, angle):
+def score(w, h, before, assist_before, torque, assist, middle, mean, angle_before, angle):
     """Torques and angle at both ends of a step of the length h; the driver's torque in its middle, its mean size."""
     moved, size_before, size = h > 0.0, abs(before), abs(torque)
     opposes_before = (before * assist_before < 0.0) & (size_before > _FELT)
     opposes = (torque * assist < 0.0) & (size > _FELT)
-    count = (0.5 if opposes_before else 0.0) + (0.5 if opposes else 0.0)
-    peak = larger(larger(size_before, size), abs(middle))
-    w[data.DRIVER_PEAK + l] = larger(w[data.DRIVER_PEAK + l], peak if moved else 0.0)
-    w[data.DRIVER_MEAN + l] = fma(h, mean, w[data.DRIVER_MEAN + l])
-    w[data.AGAINST_TIME + l] = fma(h, count, w[data.AGAINST_TIME + l])
-    stretch = fma(h, count * w[data.PARALLEL + l], w[data.STRETCH + l])
-    w[data.AGAINST_PARALLEL + l] = larger(w[data.AGAINST_PARALLEL + l], stretch)
-    w[data.STRETCH + l] = stretch if opposes | (not moved) else 0.0
-    w[data.TORQUE + l], w[data.ASSIST + l] = (
-        torque if moved else w[data.TORQUE + l],
-        assist if moved else w[data.ASSIST + l],
-    )
-    w[data.DELTA_PEAK + l] = larger(w[data.DELTA_PEAK + l], larger(abs(angle_before), abs(angle)) if moved else 0.0)
-    w[data.TRAVEL + l] += abs(angle - angle_before)
+    count = select(opposes_before, 0.5, 0.0) + select(opposes, 0.5, 0.0)
+    peak = max(max(size_before, size), abs(middle))
+    w[data.DRIVER_PEAK] = max(w[data.DRIVER_PEAK], select(moved, peak, 0.0))
+    w[data.DRIVER_MEAN] = fma(h, mean, w[data.DRIVER_MEAN])
+    w[data.AGAINST_TIME] = fma(h, count, w[data.AGAINST_TIME])
+    stretch = fma(h, count * w[data.PARALLEL], w[data.STRETCH])
+    w[data.AGAINST_PARALLEL] = max(w[data.AGAINST_PARALLEL], stretch)
+    w[data.STRETCH] = select(opposes | ~moved, stretch, 0.0)
+    w[data.TORQUE] = select(moved, torque, w[data.TORQUE])
+    w[data.ASSIST] = select(moved, assist, w[data.ASSIST])
+    w[data.DELTA_PEAK] = max(w[data.DELTA_PEAK], select(moved, max(abs(angle_before), abs(angle)), 0.0))
+    w[data.TRAVEL] += abs(angle - angle_before)
     middle = 0.5 * (angle_before + angle)
-    w[data.EFFORT + l] += h * (1.0 / 6.0) * fma(4.0 * middle, middle, fma(angle, angle, angle_before * angle_before))
+    w[data.EFFORT] += h * (1.0 / 6.0) * fma(4.0 * middle, middle, fma(angle, angle, angle_before * angle_before))
 
 
 @numba.njit(forceinline=True, **OPTIONS)
@@ -359,52 +345,51 @@ def _grip(setting, w, n, parts):
     """
     stiffness, tau = setting[data.ASSIST_STIFFNESS] * setting[data.RATIO], setting[data.ARM_LAG]
     limit, per_tau, part, first = setting[data.TORQUE_MAX] / stiffness, 1.0 / tau, 1.0 / parts, n / parts
-    for l in range(int(setting[data.WIDTH])):
-        h, g, z = w[data.H + l] * part, w[data.STRENGTH + l], w[data.COLUMN + l]
-        s = n * h
-        e, middle, per_h = s + h, fma(0.5, h, s), 1.0 / h if h > 0.0 else 0.0
-        r_0 = w[data.REF_0 + l] - w[data.MEANT_0 + l]
-        r_1, r_2 = w[data.REF_1 + l] - w[data.MEANT_1 + l], w[data.REF_2 + l] - w[data.MEANT_2 + l]
-        before, after = fma(s, fma(s, r_2, r_1), r_0), fma(e, fma(e, r_2, r_1), r_0)
-        rate = (after - before) * per_h
-        holds = g * fma(middle, w[data.TENSE_1 + l], w[data.TENSE_0 + l])
-        pushes = (1.0 - g) * fma(middle, w[data.AUTH_1 + l], w[data.AUTH_0 + l])
-        # at the limit: how long
-        excess = abs(before - z) - limit
-        sign, base = math.copysign(1.0, before - z), pushes * math.copysign(limit, before - z) / holds
-        falls = sign * fma(base - z, per_tau, -rate)
-        at = min(excess / falls, h) if falls > 0.0 else h
-        remaining = (z - base) * decay(-at * per_tau)
-        falls = sign * fma(-remaining, per_tau, -rate)
-        left = sign * (fma(rate, at, before) - base - remaining) - limit
-        at = min(max(at + left / falls, 0.0), h) if falls > 0.0 else h
-        at = at if excess > 0.0 else 0.0
-        z_at, m_0, m_1, m_2 = _relax(z, base, 0.0, at * per_tau)
-        share, rest = at * per_h, h - at
-        # then without it
-        firm = holds + pushes
-        fall = rest * firm / holds * per_tau
-        slope = pushes * rate * rest / firm
-        r_at = fma(rate, at, before)
-        base = pushes * r_at / firm - (slope / fall if fall > 0.0 else 0.0)
-        z_end, n_0, n_1, n_2 = _relax(z_at, base, slope, fall)
-        z_end = z_end if h > 0.0 else z
-        # integrals over the substep, whose parts begin at `first` and `a`
-        p, q, a = part * share, part * (1.0 - share), fma(part, share, first)
-        w[data.MOMENT_0 + l] += fma(p, m_0, q * n_0)
-        w[data.MOMENT_1 + l] += p * fma(first, m_0, p * m_1) + q * fma(a, n_0, q * n_1)
-        w[data.MOMENT_2 + l] += p * fma(first * first, m_0, p * fma(2.0 * first, m_1, p * m_2))
-        w[data.MOMENT_2 + l] += q * fma(a * a, n_0, q * fma(2.0 * a, n_1, q * n_2))
-        a_0, a_1 = fma(s, w[data.AUTH_1 + l], w[data.AUTH_0 + l]), fma(e, w[data.AUTH_1 + l], w[data.AUTH_0 + l])
-        assist_before = a_0 * stiffness * min(max(before - z, -limit), limit)
-        assist = a_1 * stiffness * min(max(after - z_end, -limit), limit)
-        same = (r_at - z_at) * (after - z_end) > 0.0
-        mean = abs(0.5 * (r_at + after) - n_0) if same else 0.5 * (abs(r_at - z_at) + abs(after - z_end))
-        mean = 0.5 * (a_0 + a_1) * stiffness * fma(share, limit - mean, mean)
-        angle_before = z + fma(s, fma(s, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
-        angle = z_end + fma(e, fma(e, w[data.MEANT_2 + l], w[data.MEANT_1 + l]), w[data.MEANT_0 + l])
-        score(w, l, h, -assist_before, assist_before, -assist, assist, assist, mean, angle_before, angle)
-        w[data.COLUMN + l] = z_end
+    h, g, z = w[data.H] * part, w[data.STRENGTH], w[data.COLUMN]
+    s = n * h
+    e, middle, per_h = s + h, fma(0.5, h, s), select(h > 0.0, 1.0 / h, 0.0)
+    r_0 = w[data.REF_0] - w[data.MEANT_0]
+    r_1, r_2 = w[data.REF_1] - w[data.MEANT_1], w[data.REF_2] - w[data.MEANT_2]
+    before, after = fma(s, fma(s, r_2, r_1), r_0), fma(e, fma(e, r_2, r_1), r_0)
+    rate = (after - before) * per_h
+    holds = g * fma(middle, w[data.TENSE_1], w[data.TENSE_0])
+    pushes = (1.0 - g) * fma(middle, w[data.AUTH_1], w[data.AUTH_0])
+    # at the limit: how long
+    excess = abs(before - z) - limit
+    sign, base = math.copysign(1.0, before - z), pushes * math.copysign(limit, before - z) / holds
+    falls = sign * fma(base - z, per_tau, -rate)
+    at = select(falls > 0.0, min(excess / falls, h), h)
+    remaining = (z - base) * decay(-at * per_tau)
+    falls = sign * fma(-remaining, per_tau, -rate)
+    left = sign * (fma(rate, at, before) - base - remaining) - limit
+    at = select(falls > 0.0, min(max(at + left / falls, 0.0), h), h)
+    at = select(excess > 0.0, at, 0.0)
+    z_at, m_0, m_1, m_2 = _relax(z, base, 0.0, at * per_tau)
+    share, rest = at * per_h, h - at
+    # then without it
+    firm = holds + pushes
+    fall = rest * firm / holds * per_tau
+    slope = pushes * rate * rest / firm
+    r_at = fma(rate, at, before)
+    base = pushes * r_at / firm - select(fall > 0.0, slope / fall, 0.0)
+    z_end, n_0, n_1, n_2 = _relax(z_at, base, slope, fall)
+    z_end = select(h > 0.0, z_end, z)
+    # integrals over the substep, whose parts begin at `first` and `a`
+    p, q, a = part * share, part * (1.0 - share), fma(part, share, first)
+    w[data.MOMENT_0] += fma(p, m_0, q * n_0)
+    w[data.MOMENT_1] += p * fma(first, m_0, p * m_1) + q * fma(a, n_0, q * n_1)
+    w[data.MOMENT_2] += p * fma(first * first, m_0, p * fma(2.0 * first, m_1, p * m_2))
+    w[data.MOMENT_2] += q * fma(a * a, n_0, q * fma(2.0 * a, n_1, q * n_2))
+    a_0, a_1 = fma(s, w[data.AUTH_1], w[data.AUTH_0]), fma(e, w[data.AUTH_1], w[data.AUTH_0])
+    assist_before = a_0 * stiffness * min(max(before - z, -limit), limit)
+    assist = a_1 * stiffness * min(max(after - z_end, -limit), limit)
+    same = (r_at - z_at) * (after - z_end) > 0.0
+    mean = select(same, abs(0.5 * (r_at + after) - n_0), 0.5 * (abs(r_at - z_at) + abs(after - z_end)))
+    mean = 0.5 * (a_0 + a_1) * stiffness * fma(share, limit - mean, mean)
+    angle_before = z + fma(s, fma(s, w[data.MEANT_2], w[data.MEANT_1]), w[data.MEANT_0])
+    angle = z_end + fma(e, fma(e, w[data.MEANT_2], w[data.MEANT_1]), w[data.MEANT_0])
+    score(w, h, -assist_before, assist_before, -assist, assist, assist, mean, angle_before, angle)
+    w[data.COLUMN] = z_end
 
 
 @numba.njit(**OPTIONS)
@@ -413,10 +398,9 @@ def hold(setting, w):
     parts = int(setting[data.GRIP_STEPS])
     for n in range(parts):
         _grip(setting, w, n, parts)
-    for l in range(int(setting[data.WIDTH])):
-        h = w[data.H + l]
-        z_0, z_1, z_2 = parabola(w[data.MOMENT_0 + l], w[data.MOMENT_1 + l], w[data.MOMENT_2 + l])
-        a, b, c = w[data.MEANT_0 + l], w[data.MEANT_1 + l], w[data.MEANT_2 + l]
-        w[data.DELTA_START + l], w[data.DELTA_MID + l] = a + z_0, fma(0.5 * h, fma(0.5 * h, c, b), a) + z_1
-        end = fma(h, fma(h, c, b), a)
-        w[data.DELTA_END + l], w[data.WHEEL + l] = end + z_2, end + w[data.COLUMN + l] if h > 0.0 else w[data.WHEEL + l]
+    h = w[data.H]
+    z_0, z_1, z_2 = parabola(w[data.MOMENT_0], w[data.MOMENT_1], w[data.MOMENT_2])
+    a, b, c = w[data.MEANT_0], w[data.MEANT_1], w[data.MEANT_2]
+    w[data.DELTA_START], w[data.DELTA_MID] = a + z_0, fma(0.5 * h, fma(0.5 * h, c, b), a) + z_1
+    end = fma(h, fma(h, c, b), a)
+    w[data.DELTA_END], w[data.WHEEL] = end + z_2, select(h > 0.0, end + w[data.COLUMN], w[data.WHEEL])

@@ -9,11 +9,12 @@ see `ldctoolkit.numba_internals`.
 from typing import Any
 
 import numba
-import numpy as np
 
+import ldctoolkit.lanes as lanes
 import ldctoolkit.numba_internals as numba_internals
 import ldctoolkit.vector_math as vector_math
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import LANES, FloatArray
+from ldctoolkit.lanes import below, table, zeros
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.numba_internals import OPTIONS, source_version, uncounted
 from ldctoolkit.paths import kernels
@@ -28,10 +29,11 @@ from ldctoolkit.simulation.kernel import (
     road,
     sight,
 )
-from ldctoolkit.simulation.kernel.data import ALIVE, COMMAND, LANES, SEEN_E_Y, WHEEL_SEEN
+from ldctoolkit.simulation.kernel.data import ALIVE, COMMAND, SEEN_E_Y, WHEEL_SEEN
 from ldctoolkit.simulation.kernel.road import lay_road, segment_size, substeps_of
 
 _SOURCES = (
+    lanes,
     numba_internals,
     vector_math,
     data,
@@ -52,18 +54,19 @@ def _entries(version: int) -> Any:
 
     @numba.njit(cache=True, **OPTIONS)
     def begin(scene, exact, setting, state, paths, path_rows):
-        """Start of all scenarios, the tables of their blocks in the rows of `state`."""
+        """Start of all scenarios, the tables of their blocks in `state` (blocks, rows, lanes)."""
         if version < 0:
             return
         scene, exact, setting, state = uncounted(scene), uncounted(exact), uncounted(setting), uncounted(state)
         paths, path_rows = uncounted(paths), uncounted(path_rows)
         for block in range(state.shape[0]):
-            rk4_loop.start(scene, setting, block, state[block], paths, path_rows)
+            w = table(state[block])
+            rk4_loop.start(scene, setting, block, w, paths, path_rows)
             if exact.shape[1]:
-                exact_loop.start(scene, exact, setting, block, state[block], paths, path_rows)
+                exact_loop.start(scene, exact, setting, block, w, paths, path_rows)
 
     @numba.njit(cache=True, **OPTIONS)
-    def look(setting, state, k, blocks, times, seen, yaw_rate, heading, wheel, torque, yielding):
+    def look(setting, state, work, k, blocks, times, seen, yaw_rate, heading, wheel, torque, yielding):
         """State, lane and wheel angle as the law sees them at sample k, of some blocks: (m, 4), twice (m, p), (m,); the
         driver's torque, and whether the assist yields, (m,).
         """
@@ -72,37 +75,35 @@ def _entries(version: int) -> Any:
         setting, state, blocks = uncounted(setting), uncounted(state), uncounted(blocks)
         times, seen, yaw_rate, heading = uncounted(times), uncounted(seen), uncounted(yaw_rate), uncounted(heading)
         wheel, torque, yielding = uncounted(wheel), uncounted(torque), uncounted(yielding)
-        preview, noise = np.zeros((1 + 2 * times.shape[0]) * LANES), np.zeros(2 * LANES)
+        noise = table(work)
+        preview = below(noise, 2)
         for block in blocks:
-            w = state[block]
+            w = table(state[block])
             sight.preview_lane(setting, k, w, times, preview, 0)
             sight.noise_of(setting, k, w, noise, 0)
             sight.see(setting, w, k, preview, 0, noise, 0)
             for l in range(min(LANES, seen.shape[0] - block * LANES)):
                 i = block * LANES + l
-                if w[ALIVE + l] > 0.0:
+                if w[ALIVE, l] > 0.0:
                     for n in range(4):
-                        seen[i, n] = w[SEEN_E_Y + n * LANES + l]
-                    wheel[i], torque[i], yielding[i] = w[WHEEL_SEEN + l], w[data.TORQUE + l], w[data.YIELDING + l]
+                        seen[i, n] = w[SEEN_E_Y + n, l]
+                    wheel[i], torque[i], yielding[i] = w[WHEEL_SEEN, l], w[data.TORQUE, l], w[data.YIELDING, l]
                     for j in range(times.shape[0]):
-                        yaw_rate[i, j] = preview[(1 + 2 * j) * LANES + l]
-                        heading[i, j] = preview[(2 + 2 * j) * LANES + l]
+                        yaw_rate[i, j], heading[i, j] = preview[1 + 2 * j, l], preview[2 + 2 * j, l]
 
     @numba.njit(cache=True, **OPTIONS)
-    def go_on(exact, setting, state, recorded, motion, paths, k, blocks, command):
+    def go_on(exact, setting, state, work, recorded, motion, paths, k, blocks, command):
         """Sample k of the scenarios of some blocks with the commands (m,); exact steps where there are matrices."""
         if version < 0:
             return
         exact, setting, state, blocks = uncounted(exact), uncounted(setting), uncounted(state), uncounted(blocks)
-        recorded, paths, command = uncounted(recorded), uncounted(paths), uncounted(command)
-        motion, most = uncounted(motion), 1
+        recorded, paths, command, motion = uncounted(recorded), uncounted(paths), uncounted(command), uncounted(motion)
+        bend = table(work)
+        intended, road = below(bend, 4), below(bend, 11)
         for block in blocks:
-            most = max(most, substeps_of(state[block]))
-        road, bend, intended = np.empty(3 * segment_size(most)), np.empty(4 * LANES), np.empty(7 * LANES)
-        for block in blocks:
-            w = state[block]
+            w = table(state[block])
             for l in range(min(LANES, command.shape[0] - block * LANES)):
-                w[COMMAND + l] = command[block * LANES + l] if w[ALIVE + l] > 0.0 else 0.0
+                w[COMMAND, l] = command[block * LANES + l] if w[ALIVE, l] > 0.0 else 0.0
             block_table.lay_bend(setting, recorded, block, k, w, bend, 0)
             if exact.shape[1]:
                 exact_loop.advance(exact, setting, w, k, 0.0, block * LANES, bend, 0, paths)
@@ -114,38 +115,47 @@ def _entries(version: int) -> Any:
                 rk4_loop.advance(setting, w, k, parts, road, 0, end, bend, 0, intended, 0, paths)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_any(scene, setting, law, times, recorded, motion, paths, path_rows, blocks, score, diverged, failed):
+    def drive_any(
+        scene, setting, law, times, recorded, motion, paths, path_rows, blocks, score, diverged, failed, work, ends
+    ):
         """Linear laws (d, m, ...) on some blocks of any plant; scores into (d, columns, m)."""
         if version < 0:
             return
         scene, setting, law, times = uncounted(scene), uncounted(setting), uncounted(law), uncounted(times)
-        recorded, motion = uncounted(recorded), uncounted(motion)
+        recorded, motion, ends = uncounted(recorded), uncounted(motion), uncounted(ends)
         paths, path_rows, blocks = uncounted(paths), uncounted(path_rows), uncounted(blocks)
         score, diverged, failed = uncounted(score), uncounted(diverged), uncounted(failed)
+        w, most = table(work), ends.shape[0] - 1
+        lane_weights = below(w, block_table.rings(setting)[3])
+        bend = below(lane_weights, law.shape[2] - data.LAW)
+        preview = below(bend, 4 * most)
+        noise = below(preview, most * (1 + 2 * times.shape[1]))
+        intended = below(noise, 2 * most)
+        road = below(intended, 7 * most if setting[data.HELD] > 0.0 else 0)
         for block in blocks:
             rk4_loop.drive_block_any(
-                scene, setting, law, times, recorded, motion, paths, path_rows, block, score, diverged, failed
-            )
+                scene, setting, law, times, recorded, motion, paths, path_rows, block, score, diverged, failed,
+                (w, lane_weights, bend, road, preview, noise, intended), ends,
+            )  # fmt: skip
 
     @numba.njit(cache=True, **OPTIONS)
     def drive_lanes(
-        scene, exact, setting, law, times, recorded, paths, path_rows, first, last, score, diverged, failed,
-        work, lane_weights, bend, initial,
-    ):  # fmt: skip
+        scene, exact, setting, law, times, recorded, paths, path_rows, first, last, score, diverged, failed, work
+    ):
         """Linear laws (d, m, ...) on blocks first to last of the ideal plant."""
         if version < 0:
             return
         scene, exact, setting, law = uncounted(scene), uncounted(exact), uncounted(setting), uncounted(law)
-        times = uncounted(times)
-        recorded, score, diverged = uncounted(recorded), uncounted(score), uncounted(diverged)
-        failed = uncounted(failed)
-        paths, path_rows = uncounted(paths), uncounted(path_rows)
-        tables = (uncounted(work), uncounted(lane_weights), uncounted(bend), uncounted(initial))
+        times, recorded, paths, path_rows = uncounted(times), uncounted(recorded), uncounted(paths), uncounted(path_rows)
+        score, diverged, failed = uncounted(score), uncounted(diverged), uncounted(failed)
+        w = table(work)
+        lane_weights = below(w, block_table.rings(setting)[3])
+        initial = below(lane_weights, law.shape[2] - data.LAW)
+        tables = w, lane_weights, initial, below(initial, data.A_Y_START)
         for block in range(first, last):
             exact_loop.drive_block(
-                scene, exact, setting, law, times, recorded, paths, path_rows, block,
-                score, diverged, failed, tables,
-            )  # fmt: skip
+                scene, exact, setting, law, times, recorded, paths, path_rows, block, score, diverged, failed, tables
+            )
 
     @numba.njit(cache=True, **OPTIONS)
     def exchange(
@@ -159,17 +169,16 @@ def _entries(version: int) -> Any:
         setting, state, recorded, paths = uncounted(setting), uncounted(state), uncounted(recorded), uncounted(paths)
         blocks, rows, command, road = uncounted(blocks), uncounted(rows), uncounted(command), uncounted(road)
         ends, ramps, e, result = uncounted(ends), uncounted(ramps), uncounted(e), uncounted(result)
-        bend = np.empty(4 * LANES)
         for i in range(rows.shape[0]):
             row, first = rows[i], i * LANES
             block = blocks[row]
-            w = state[block]
+            w, way = table(state[block]), table(road[row])
             if phase == data.ASK_COMMANDED:
-                ends[row] = model_loop.begin(setting, recorded, block, w, k, command, road[row], bend)
+                ends[row] = model_loop.begin(setting, recorded, block, w, k, command, way)
             if phase % 2 == 0:
-                ramps[row] = model_loop.ask(phase, setting, w, road[row], k, j, segment, ramps[row], e, first)
+                ramps[row] = model_loop.ask(phase, setting, w, way, k, j, segment, ramps[row], e, first)
             else:
-                model_loop.take(phase, setting, w, road[row], k, j, segment, paths, e, result, first)
+                model_loop.take(phase, setting, w, way, k, j, segment, paths, e, result, first)
 
     return begin, look, go_on, drive_any, drive_lanes, exchange
 
@@ -177,11 +186,23 @@ def _entries(version: int) -> Any:
 begin, look, go_on, drive_any, drive_lanes, exchange = _entries(source_version(_SOURCES, *SCENARIO_METRICS))
 
 
-def scratch(setting: FloatArray, lookaheads: int, most: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Scratch of one call of `drive_lanes`: table of a block, weights of the lane ahead, y'' of `most` samples, start.
+def table_rows(setting: FloatArray) -> int:
+    """Rows of the table of a block."""
+    return int(block_table.rings.py_func(setting)[3])  # plain Python: compiling it for one call would take a second
 
-    The caller keeps it: what a compiled function makes is freed after its last use there, uncounted arrays are no use.
+
+def scratch(setting: FloatArray, law: FloatArray, lookaheads: int, most: int, substeps: int = 0) -> FloatArray:
+    """Scratch of one call of `drive_lanes`, or with substeps of `drive_any`, over at most so many samples.
+
+    The caller keeps it: what a compiled function makes is freed after its last use there, a table is no use.
     """
-    sizes = 2 * lookaheads * LANES, 4 * most * LANES, data.A_Y_START
-    ends = block_table.rings.py_func(setting)  # plain Python: compiling it for one call would take a second
-    return np.zeros(ends[-1]), *(np.empty(size) for size in sizes)  # type: ignore[return-value]
+    rows = table_rows(setting) + law.shape[2] + data.A_Y_START + 4 * most
+    if substeps:
+        segments = (2 if setting[data.DELAY_PART] else 1) * most + 2 * LANES
+        rows += most * (3 + 2 * lookaheads + 7) + segments * segment_size.py_func(substeps)
+    return zeros(rows, LANES)
+
+
+def sample_scratch(lookaheads: int, substeps: int) -> FloatArray:
+    """Scratch of one call of `look` or `go_on`."""
+    return zeros(max(3 + 2 * lookaheads, 11 + 3 * segment_size.py_func(substeps)), LANES)

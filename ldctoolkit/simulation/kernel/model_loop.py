@@ -10,7 +10,7 @@ from typing import Final
 
 import numba
 
-from ldctoolkit.numba_internals import OPTIONS, copy
+from ldctoolkit.numba_internals import OPTIONS
 from ldctoolkit.simulation.kernel import block_table, data
 from ldctoolkit.simulation.kernel.block_table import L
 from ldctoolkit.simulation.kernel.rk4_loop import (
@@ -33,16 +33,16 @@ _WHOLE: Final = 1e9  # Substeps after which any segment has ended
 def _moment(w, e, first, column, delta):
     """The road in the rows from `V_START` on and the wheel angle of a row, into four columns of `e`."""
     for l in range(L):
-        e[first + l, column], e[first + l, column + 1] = w[data.V_START + l], w[data.DV_START + l]
-        e[first + l, column + 2], e[first + l, column + 3] = w[data.LANE_START + l], w[delta + l]
+        e[first + l, column], e[first + l, column + 1] = w[data.V_START, l], w[data.DV_START, l]
+        e[first + l, column + 2], e[first + l, column + 3] = w[data.LANE_START, l], w[delta, l]
 
 
 @numba.njit(**OPTIONS)
 def _state(w, e, first):
     for l in range(L):
         for n in range(4):
-            e[first + l, n] = w[data.NEXT_E_Y + n * L + l]
-        e[first + l, 4] = w[data.H + l]
+            e[first + l, n] = w[data.NEXT_E_Y + n, l]
+        e[first + l, 4] = w[data.H, l]
 
 
 @numba.njit(**OPTIONS)
@@ -53,7 +53,8 @@ def ask(phase, setting, w, road, k, j, segment, ramps, e, first):
         _moment(w, e, first, 5, data.WHEEL)
     elif phase == data.ASK_COMMANDED:
         begin_sample(setting, w, k)
-        copy(w, data.V_START, road, HEADER, 4)
+        for n in range(4):
+            w[data.V_START + n] = road[HEADER + n]
         _moment(w, e, first, 5, data.DELTA_START)
     elif phase == data.ASK_STEP:
         if j == 0:
@@ -61,9 +62,10 @@ def ask(phase, setting, w, road, k, j, segment, ramps, e, first):
         begin_substep(setting, w, j, ramps)
         for n in range(3):
             lay_point(setting, w, j + 0.5 * n)
-            _moment(w, e, first, 5 + 4 * n, data.DELTA_START + n * L)
+            _moment(w, e, first, 5 + 4 * n, data.DELTA_START + n)
     elif phase == data.ASK_CUT:
-        copy(w, data.V_START, road, segment + HEADER, 4)
+        for n in range(4):
+            w[data.V_START + n] = road[segment + HEADER + n]
         _moment(w, e, first, 5, data.WHEEL)
     elif phase == data.ASK_END:
         settle(setting, w)
@@ -77,8 +79,8 @@ def ask(phase, setting, w, road, k, j, segment, ramps, e, first):
 def _take_a_y(w, e, result, first, to):
     """a_y from the answer, and relative to the road two rows further."""
     for l in range(L):
-        a_y = result[first + l, 0] if w[data.ALIVE + l] > 0.0 else 0.0  # a lane that has ended stays finite
-        w[to + l], w[to + 2 * L + l] = a_y, a_y - e[first + l, 5] * e[first + l, 7]
+        a_y = result[first + l, 0] if w[data.ALIVE, l] > 0.0 else 0.0  # a lane that has ended stays finite
+        w[to, l], w[to + 2, l] = a_y, a_y - e[first + l, 5] * e[first + l, 7]
 
 
 @numba.njit(**OPTIONS)
@@ -86,17 +88,17 @@ def take(phase, setting, w, road, k, j, segment, paths, e, result, first):
     """What follows from the answer: scores, paths, lanes that end."""
     if phase == data.AT_TRIGGER:
         for l in range(L):
-            w[data.A_Y_BEFORE + l] = result[first + l, 0]
+            w[data.A_Y_BEFORE, l] = result[first + l, 0]
     elif phase == data.COMMANDED:
         _take_a_y(w, e, result, first, data.A_Y_START)
         correct_paths(w, paths)
     elif phase == data.STEPPED:
         for l in range(L):
-            if w[data.H + l] > 0.0:
+            if w[data.H, l] > 0.0:
                 for n in range(4):
-                    w[data.NEXT_E_Y + n * L + l] = result[first + l, n]
-                w[data.PIECE_AREA + l] += result[first + l, 4]
-                w[data.PIECE_TIME + l] += w[data.H + l]
+                    w[data.NEXT_E_Y + n, l] = result[first + l, n]
+                w[data.PIECE_AREA, l] += result[first + l, 4]
+                w[data.PIECE_TIME, l] += w[data.H, l]
         end_piece(setting, w, k)
         if j + 1 == substeps_of(w):
             end_segment(setting, w)
@@ -109,10 +111,9 @@ def take(phase, setting, w, road, k, j, segment, paths, e, result, first):
 
 
 @numba.njit(**OPTIONS)
-def begin(setting, recorded, block, w, k, command, road, bend):
+def begin(setting, recorded, block, w, k, command, road):
     """Commands and road of sample k; where the road ends."""
     for l in range(min(L, command.shape[0] - block * L)):
-        w[data.COMMAND + l] = command[block * L + l] if w[data.ALIVE + l] > 0.0 else 0.0
-    block_table.lay_bend(setting, recorded, block, k, w, bend, 0)
-    copy(w, data.BEND_START, bend, 0, 4)
+        w[data.COMMAND, l] = command[block * L + l] if w[data.ALIVE, l] > 0.0 else 0.0
+    block_table.lay_bend(setting, recorded, block, k, w, w, data.BEND_START)
     return lay_road(setting, k, w, 0, road, 0)

@@ -17,9 +17,9 @@ import math
 from typing import Final
 
 import numba
-import numpy as np
 
-from ldctoolkit.numba_internals import OPTIONS, copy, fma, larger
+from ldctoolkit.lanes import any_lane, fma, select
+from ldctoolkit.numba_internals import OPTIONS
 from ldctoolkit.simulation.kernel import actuator, block_table, data, driver, sight
 from ldctoolkit.simulation.kernel.block_table import L, rings
 from ldctoolkit.simulation.kernel.road import HEADER, POINT_SIZE, lay_point, lay_road, segment_size, substeps_of
@@ -34,7 +34,7 @@ _SPUN: Final = 1.5
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _linear(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):  # noqa: ARG001
+def _linear(w, p, psi, turn, v, dv, per_v, lane, delta, shape):  # noqa: ARG001
     """e_y'' and e_psi'' on linear tyres, a_y relative to the lane, without v r, and the front force over the mass.
 
     With w = de_y/dt - v e_psi and omega = de_psi/dt + r (Rajamani's eq. 2.45; dv/dt e_psi where the speed changes),
@@ -45,14 +45,14 @@ def _linear(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):  # noqa: ARG0
     the printed matrix takes `PRINTED_TERM` de_psi/dt/v from e_y''.
     """
     across, omega = fma(-v, psi, p), turn + lane
-    front = w[data.STIFFNESS_F + l] * fma(-per_v, fma(w[data.AXLE_F + l], omega, across), delta)
-    rear = w[data.STIFFNESS_R + l] * (per_v * fma(w[data.AXLE_R + l], omega, -across))
-    relative = fma(-v, lane, fma(-w[data.PRINTED_TERM + l] * turn, per_v, front + rear))
-    return fma(dv, psi, relative), fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear), relative, front
+    front = w[data.STIFFNESS_F] * fma(-per_v, fma(w[data.AXLE_F], omega, across), delta)
+    rear = w[data.STIFFNESS_R] * (per_v * fma(w[data.AXLE_R], omega, -across))
+    relative = fma(-v, lane, fma(-w[data.PRINTED_TERM] * turn, per_v, front + rear))
+    return fma(dv, psi, relative), fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), relative, front
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _saturating(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):
+def _saturating(w, p, psi, turn, v, dv, per_v, lane, delta, shape):
     """The same on tyres that saturate (Pacejka's Magic Formula), for large angles.
 
     With v_y = (de_y/dt - v sin e_psi)/cos e_psi and the slips a_f = delta - atan((v_y + l_f omega)/v), a_r =
@@ -63,13 +63,13 @@ def _saturating(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):
     """
     sin_psi, cos_psi, omega = sine(psi), cosine(psi), turn + lane
     across = fma(-v, sin_psi, p) / cos_psi
-    slip_front = delta - arctan(fma(w[data.AXLE_F + l], omega, across) * per_v)
-    slip_rear = arctan(fma(w[data.AXLE_R + l], omega, -across) * per_v)
-    front = w[data.GRIP_F + l] * sine(shape * arctan(w[data.STIFFNESS_F + l] * slip_front)) * cosine(delta)
-    rear = w[data.GRIP_R + l] * sine(shape * arctan(w[data.STIFFNESS_R + l] * slip_rear))
+    slip_front = delta - arctan(fma(w[data.AXLE_F], omega, across) * per_v)
+    slip_rear = arctan(fma(w[data.AXLE_R], omega, -across) * per_v)
+    front = w[data.GRIP_F] * sine(shape * arctan(w[data.STIFFNESS_F] * slip_front)) * cosine(delta)
+    rear = w[data.GRIP_R] * sine(shape * arctan(w[data.STIFFNESS_R] * slip_rear))
     a_y = front + rear
     lateral = fma(dv, sin_psi, turn * fma(v, cos_psi, -across * sin_psi)) + fma(-v, omega, a_y) * cos_psi
-    return lateral, fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear), fma(-v, lane, a_y), front
+    return lateral, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), fma(-v, lane, a_y), front
 
 
 def _with_tyres(slopes):
@@ -86,32 +86,32 @@ def _with_tyres(slopes):
         k_1 = f(t, x), k_2 = f(t + h/2, x + h/2 k_1), k_3 = f(t + h/2, x + h/2 k_2), k_4 = f(t + h, x + h k_3),
         x+ = x + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4).
         """
-        copy(w, data.V_START, road, point, 12)
-        for l in range(L):
-            h = w[data.H + l]
-            half, sixth = 0.5 * h, h * (1.0 / 6.0)
-            y, p, psi = w[data.NEXT_E_Y + l], w[data.NEXT_E_Y_RATE + l], w[data.NEXT_E_PSI + l]
-            turn = w[data.NEXT_E_PSI_RATE + l]
-            v, dv, per_v = w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l]
-            lane, delta = w[data.LANE_START + l], w[data.DELTA_START + l]
-            a_1, b_1, _, _ = slopes(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape)
-            v, dv, per_v = w[data.V_MID + l], w[data.DV_MID + l], w[data.PER_V_MID + l]
-            lane, delta = w[data.LANE_MID + l], w[data.DELTA_MID + l]
-            p_2, psi_2, turn_2 = fma(half, a_1, p), fma(half, turn, psi), fma(half, b_1, turn)
-            a_2, b_2, _, _ = slopes(w, l, p_2, psi_2, turn_2, v, dv, per_v, lane, delta, shape)
-            p_3, psi_3, turn_3 = fma(half, a_2, p), fma(half, turn_2, psi), fma(half, b_2, turn)
-            a_3, b_3, _, _ = slopes(w, l, p_3, psi_3, turn_3, v, dv, per_v, lane, delta, shape)
-            v, dv, per_v = w[data.V_END + l], w[data.DV_END + l], w[data.PER_V_END + l]
-            lane, delta = w[data.LANE_END + l], w[data.DELTA_END + l]
-            p_4, psi_4, turn_4 = fma(h, a_3, p), fma(h, turn_3, psi), fma(h, b_3, turn)
-            a_4, b_4, _, _ = slopes(w, l, p_4, psi_4, turn_4, v, dv, per_v, lane, delta, shape)
-            # e_y feeds back into nothing: its values at the stages follow from its rates there
-            w[data.PIECE_AREA + l] = fma(h, fma(sixth, p + p_2 + p_3, y), w[data.PIECE_AREA + l])
-            w[data.NEXT_E_Y + l] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
-            w[data.NEXT_E_Y_RATE + l] = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), p)
-            w[data.NEXT_E_PSI + l] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
-            w[data.NEXT_E_PSI_RATE + l] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
-            w[data.PIECE_TIME + l] += h
+        for n in range(12):
+            w[data.V_START + n] = road[point + n]
+        h = w[data.H]
+        half, sixth = 0.5 * h, h * (1.0 / 6.0)
+        y, p, psi = w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE], w[data.NEXT_E_PSI]
+        turn = w[data.NEXT_E_PSI_RATE]
+        v, dv, per_v = w[data.V_START], w[data.DV_START], w[data.PER_V_START]
+        lane, delta = w[data.LANE_START], w[data.DELTA_START]
+        a_1, b_1, _, _ = slopes(w, p, psi, turn, v, dv, per_v, lane, delta, shape)
+        v, dv, per_v = w[data.V_MID], w[data.DV_MID], w[data.PER_V_MID]
+        lane, delta = w[data.LANE_MID], w[data.DELTA_MID]
+        p_2, psi_2, turn_2 = fma(half, a_1, p), fma(half, turn, psi), fma(half, b_1, turn)
+        a_2, b_2, _, _ = slopes(w, p_2, psi_2, turn_2, v, dv, per_v, lane, delta, shape)
+        p_3, psi_3, turn_3 = fma(half, a_2, p), fma(half, turn_2, psi), fma(half, b_2, turn)
+        a_3, b_3, _, _ = slopes(w, p_3, psi_3, turn_3, v, dv, per_v, lane, delta, shape)
+        v, dv, per_v = w[data.V_END], w[data.DV_END], w[data.PER_V_END]
+        lane, delta = w[data.LANE_END], w[data.DELTA_END]
+        p_4, psi_4, turn_4 = fma(h, a_3, p), fma(h, turn_3, psi), fma(h, b_3, turn)
+        a_4, b_4, _, _ = slopes(w, p_4, psi_4, turn_4, v, dv, per_v, lane, delta, shape)
+        # e_y feeds back into nothing: its values at the stages follow from its rates there
+        w[data.PIECE_AREA] = fma(h, fma(sixth, p + p_2 + p_3, y), w[data.PIECE_AREA])
+        w[data.NEXT_E_Y] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
+        w[data.NEXT_E_Y_RATE] = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), p)
+        w[data.NEXT_E_PSI] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
+        w[data.NEXT_E_PSI_RATE] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
+        w[data.PIECE_TIME] += h
 
     @numba.njit(forceinline=True, **OPTIONS)
     def held_substep(setting, w, road, point, shape):
@@ -119,66 +119,63 @@ def _with_tyres(slopes):
         k_a, b_a, limit = setting[data.ASSIST_STIFFNESS], setting[data.ASSIST_DAMPING], setting[data.TORQUE_MAX]
         b_d, b_w = setting[data.ARM_DAMPING], setting[data.WHEEL_DAMPING]
         per_inertia, per_ratio = 1.0 / setting[data.INERTIA], 1.0 / setting[data.RATIO]
-        copy(w, data.V_START, road, point, 12)
-        for l in range(int(setting[data.WIDTH])):
-            h, trail = w[data.H + l], w[data.TRAIL_TORQUE + l]
-            half, sixth = 0.5 * h, h * (1.0 / 6.0)
-            y, p, psi = w[data.NEXT_E_Y + l], w[data.NEXT_E_Y_RATE + l], w[data.NEXT_E_PSI + l]
-            turn, angle, rate = w[data.NEXT_E_PSI_RATE + l], w[data.COLUMN + l], w[data.COLUMN_RATE + l]
-            v, dv, per_v = w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l]
-            a_1, b_1, _, force = slopes(
-                w, l, p, psi, turn, v, dv, per_v, w[data.LANE_START + l], angle * per_ratio, shape
-            )
-            c_1, before_assist, before = driver.column(
-                w, l, 0.0, angle, rate, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
-            )
-            v, dv, per_v, lane = w[data.V_MID + l], w[data.DV_MID + l], w[data.PER_V_MID + l], w[data.LANE_MID + l]
-            p_2, psi_2, turn_2 = fma(half, a_1, p), fma(half, turn, psi), fma(half, b_1, turn)
-            angle_2, rate_2 = fma(half, rate, angle), fma(half, c_1, rate)
-            a_2, b_2, _, force = slopes(w, l, p_2, psi_2, turn_2, v, dv, per_v, lane, angle_2 * per_ratio, shape)
-            c_2, _, _ = driver.column(
-                w, l, half, angle_2, rate_2, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
-            )
-            p_3, psi_3, turn_3 = fma(half, a_2, p), fma(half, turn_2, psi), fma(half, b_2, turn)
-            angle_3, rate_3 = fma(half, rate_2, angle), fma(half, c_2, rate)
-            a_3, b_3, _, force = slopes(w, l, p_3, psi_3, turn_3, v, dv, per_v, lane, angle_3 * per_ratio, shape)
-            c_3, _, middle = driver.column(
-                w, l, half, angle_3, rate_3, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
-            )
-            v, dv, per_v, lane = w[data.V_END + l], w[data.DV_END + l], w[data.PER_V_END + l], w[data.LANE_END + l]
-            p_4, psi_4, turn_4 = fma(h, a_3, p), fma(h, turn_3, psi), fma(h, b_3, turn)
-            angle_4, rate_4 = fma(h, rate_3, angle), fma(h, c_3, rate)
-            a_4, b_4, _, force = slopes(w, l, p_4, psi_4, turn_4, v, dv, per_v, lane, angle_4 * per_ratio, shape)
-            c_4, _, _ = driver.column(w, l, h, angle_4, rate_4, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia)
-            w[data.PIECE_AREA + l] = fma(h, fma(sixth, p + p_2 + p_3, y), w[data.PIECE_AREA + l])
-            w[data.NEXT_E_Y + l] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
-            w[data.NEXT_E_Y_RATE + l] = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), p)
-            w[data.NEXT_E_PSI + l] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
-            w[data.NEXT_E_PSI_RATE + l] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
-            w[data.PIECE_TIME + l] += h
-            end = fma(sixth, fma(2.0, rate_2 + rate_3, rate + rate_4), angle)
-            rate = fma(sixth, fma(2.0, c_2 + c_3, c_1 + c_4), rate)
-            _, assist, torque = driver.column(w, l, h, end, rate, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia)
-            mean = (1.0 / 6.0) * (abs(before) + 4.0 * abs(middle) + abs(torque))
-            driver.score(
-                w, l, h, before, before_assist, torque, assist, middle, mean, angle * per_ratio, end * per_ratio
-            )
-            w[data.COLUMN + l], w[data.COLUMN_RATE + l], w[data.WHEEL + l] = end, rate, end * per_ratio
+        for n in range(12):
+            w[data.V_START + n] = road[point + n]
+        h, trail = w[data.H], w[data.TRAIL_TORQUE]
+        half, sixth = 0.5 * h, h * (1.0 / 6.0)
+        y, p, psi = w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE], w[data.NEXT_E_PSI]
+        turn, angle, rate = w[data.NEXT_E_PSI_RATE], w[data.COLUMN], w[data.COLUMN_RATE]
+        v, dv, per_v = w[data.V_START], w[data.DV_START], w[data.PER_V_START]
+        a_1, b_1, _, force = slopes(
+            w, p, psi, turn, v, dv, per_v, w[data.LANE_START], angle * per_ratio, shape
+        )
+        c_1, before_assist, before = driver.column(
+            w, 0.0, angle, rate, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
+        )
+        v, dv, per_v, lane = w[data.V_MID], w[data.DV_MID], w[data.PER_V_MID], w[data.LANE_MID]
+        p_2, psi_2, turn_2 = fma(half, a_1, p), fma(half, turn, psi), fma(half, b_1, turn)
+        angle_2, rate_2 = fma(half, rate, angle), fma(half, c_1, rate)
+        a_2, b_2, _, force = slopes(w, p_2, psi_2, turn_2, v, dv, per_v, lane, angle_2 * per_ratio, shape)
+        c_2, _, _ = driver.column(
+            w, half, angle_2, rate_2, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
+        )
+        p_3, psi_3, turn_3 = fma(half, a_2, p), fma(half, turn_2, psi), fma(half, b_2, turn)
+        angle_3, rate_3 = fma(half, rate_2, angle), fma(half, c_2, rate)
+        a_3, b_3, _, force = slopes(w, p_3, psi_3, turn_3, v, dv, per_v, lane, angle_3 * per_ratio, shape)
+        c_3, _, middle = driver.column(
+            w, half, angle_3, rate_3, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
+        )
+        v, dv, per_v, lane = w[data.V_END], w[data.DV_END], w[data.PER_V_END], w[data.LANE_END]
+        p_4, psi_4, turn_4 = fma(h, a_3, p), fma(h, turn_3, psi), fma(h, b_3, turn)
+        angle_4, rate_4 = fma(h, rate_3, angle), fma(h, c_3, rate)
+        a_4, b_4, _, force = slopes(w, p_4, psi_4, turn_4, v, dv, per_v, lane, angle_4 * per_ratio, shape)
+        c_4, _, _ = driver.column(w, h, angle_4, rate_4, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia)
+        w[data.PIECE_AREA] = fma(h, fma(sixth, p + p_2 + p_3, y), w[data.PIECE_AREA])
+        w[data.NEXT_E_Y] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
+        w[data.NEXT_E_Y_RATE] = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), p)
+        w[data.NEXT_E_PSI] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
+        w[data.NEXT_E_PSI_RATE] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
+        w[data.PIECE_TIME] += h
+        end = fma(sixth, fma(2.0, rate_2 + rate_3, rate + rate_4), angle)
+        rate = fma(sixth, fma(2.0, c_2 + c_3, c_1 + c_4), rate)
+        _, assist, torque = driver.column(w, h, end, rate, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia)
+        mean = (1.0 / 6.0) * (abs(before) + 4.0 * abs(middle) + abs(torque))
+        driver.score(
+            w, h, before, before_assist, torque, assist, middle, mean, angle * per_ratio, end * per_ratio
+        )
+        w[data.COLUMN], w[data.COLUMN_RATE], w[data.WHEEL] = end, rate, end * per_ratio
 
     @numba.njit(forceinline=True, **OPTIONS)
-    def accelerations(w, road, point, delta, to, shape, width):
+    def accelerations(w, road, point, delta, to, shape):
         """a_y at a point of the road with the steering angle in row `delta`; relative to the road two rows further."""
-        copy(w, data.V_START, road, point, 4)
-        copy(w, data.WORK_0, w, delta, 1)
-        for l in range(width):
-            p, psi, turn = w[data.NEXT_E_Y_RATE + l], w[data.NEXT_E_PSI + l], w[data.NEXT_E_PSI_RATE + l]
-            v, dv, per_v, lane = (
-                w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l], w[data.LANE_START + l],
-            )  # fmt: skip
-            _, _, relative, _ = slopes(w, l, p, psi, turn, v, dv, per_v, lane, w[data.WORK_0 + l], shape)
-            w[data.WORK_1 + l], w[data.WORK_2 + l] = fma(v, lane, relative), relative
-        copy(w, to, w, data.WORK_1, 1)
-        copy(w, to + 2 * L, w, data.WORK_2, 1)
+        for n in range(4):
+            w[data.V_START + n] = road[point + n]
+        p, psi, turn = w[data.NEXT_E_Y_RATE], w[data.NEXT_E_PSI], w[data.NEXT_E_PSI_RATE]
+        v, dv, per_v, lane = (
+            w[data.V_START], w[data.DV_START], w[data.PER_V_START], w[data.LANE_START],
+        )  # fmt: skip
+        _, _, relative, _ = slopes(w, p, psi, turn, v, dv, per_v, lane, w[delta], shape)
+        w[to], w[to + 2] = fma(v, lane, relative), relative
 
     return substep, held_substep, accelerations
 
@@ -190,9 +187,9 @@ _saturating_substep, _saturating_held, _saturating_accelerations = _with_tyres(_
 @numba.njit(**OPTIONS)
 def _accelerations(setting, w, road, point, delta, to):
     if setting[data.SATURATING] > 0.0:
-        _saturating_accelerations(w, road, point, delta, to, setting[data.SHAPE], int(setting[data.WIDTH]))
+        _saturating_accelerations(w, road, point, delta, to, setting[data.SHAPE])
     else:
-        _linear_accelerations(w, road, point, delta, to, 0.0, int(setting[data.WIDTH]))
+        _linear_accelerations(w, road, point, delta, to, 0.0)
 
 
 # ------------------------------------------------------------------------------------------------ scores
@@ -202,44 +199,40 @@ def _accelerations(setting, w, road, point, delta, to):
 def _score(setting, w):
     """Scores of pieces that end here, and which hold an event; True if one does."""
     l_f, offset = setting[data.L_FRONT], setting[data.OFFSET]
-    rare = False
-    for l in range(L):
-        h, due = w[data.PIECE_TIME + l], w[data.PIECE_ENDS + l] > 0.0
-        counted = due & (w[data.BEFORE_T + l] > 0.0)
-        x_0, x_1, n_0, n_1 = w[data.E_Y + l], w[data.E_Y_RATE + l], w[data.NEXT_E_Y + l], w[data.NEXT_E_Y_RATE + l]
-        g_0, f_0 = fma(l_f, w[data.E_PSI + l], x_0), fma(l_f, w[data.E_PSI_RATE + l], x_1)
-        g_1, f_1 = fma(l_f, w[data.NEXT_E_PSI + l], n_0), fma(l_f, w[data.NEXT_E_PSI_RATE + l], n_1)
-        deep, front = w[data.DEEPEST + l], w[data.FRONT_DEEPEST + l]
-        over = w[data.OPPOSITE + l]
-        event = counted & ((x_0 * n_0 < 0.0) | touches(x_0, x_1, n_0, n_1, h))
-        event |= (w[data.T_BACK + l] == math.inf) & (x_0 >= offset) & (n_0 < offset)
-        # an extreme within the piece that may be a new one
-        event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (fma(h, x_1 - n_1, max(x_0, n_0)) > deep)
-        event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (fma(h, f_0 - f_1, max(g_0, g_1)) > front)
-        event |= (x_1 < 0.0) & (n_1 > 0.0) & (fma(h, n_1 - x_1, -min(x_0, n_0)) > max(over, offset))
-        event &= due & (h > 0.0)
-        w[data.EVENT + l] = 1.0 if event else 0.0
-        rare |= event
-        w[data.DEEPEST + l] = larger(deep, n_0 if counted else deep)
-        w[data.FRONT_DEEPEST + l] = larger(front, g_1 if counted else front)
-        w[data.OPPOSITE + l] = larger(over, -n_0 if due else over)
-    return rare
+    h, due = w[data.PIECE_TIME], w[data.PIECE_ENDS] > 0.0
+    counted = due & (w[data.BEFORE_T] > 0.0)
+    x_0, x_1, n_0, n_1 = w[data.E_Y], w[data.E_Y_RATE], w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE]
+    g_0, f_0 = fma(l_f, w[data.E_PSI], x_0), fma(l_f, w[data.E_PSI_RATE], x_1)
+    g_1, f_1 = fma(l_f, w[data.NEXT_E_PSI], n_0), fma(l_f, w[data.NEXT_E_PSI_RATE], n_1)
+    deep, front = w[data.DEEPEST], w[data.FRONT_DEEPEST]
+    over = w[data.OPPOSITE]
+    event = counted & ((x_0 * n_0 < 0.0) | touches(x_0, x_1, n_0, n_1, h))
+    event |= (w[data.T_BACK] == math.inf) & (x_0 >= offset) & (n_0 < offset)
+    # an extreme within the piece that may be a new one
+    event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (fma(h, x_1 - n_1, max(x_0, n_0)) > deep)
+    event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (fma(h, f_0 - f_1, max(g_0, g_1)) > front)
+    event |= (x_1 < 0.0) & (n_1 > 0.0) & (fma(h, n_1 - x_1, -min(x_0, n_0)) > max(over, offset))
+    event &= due & (h > 0.0)
+    w[data.EVENT] = select(event, 1.0, 0.0)
+    w[data.DEEPEST] = max(deep, select(counted, n_0, deep))
+    w[data.FRONT_DEEPEST] = max(front, select(counted, g_1, front))
+    w[data.OPPOSITE] = max(over, select(due, -n_0, over))
+    return any_lane(event)
 
 
 @numba.njit(**OPTIONS)
-def _next_piece(setting, w):
+def _next_piece(w):
     """S of the pieces that end here; the next ones begin."""
-    for l in range(int(setting[data.WIDTH])):
-        due, area = w[data.PIECE_ENDS + l] > 0.0, abs(w[data.PIECE_AREA + l]) * w[data.BEFORE_T + l]
-        now = w[data.PIECE_TIME + l]
-        w[data.AREA + l] += area if due else 0.0
-        w[data.PIECE_START + l] += now if due else 0.0
-        signed, x_0, x_1, x_2 = w[data.PIECE_AREA + l], w[data.E_Y + l], w[data.E_Y_RATE + l], w[data.E_PSI + l]
-        x_3, n_0, n_1 = w[data.E_PSI_RATE + l], w[data.NEXT_E_Y + l], w[data.NEXT_E_Y_RATE + l]
-        n_2, n_3 = w[data.NEXT_E_PSI + l], w[data.NEXT_E_PSI_RATE + l]
-        w[data.PIECE_AREA + l], w[data.PIECE_TIME + l] = 0.0 if due else signed, 0.0 if due else now
-        w[data.E_Y + l], w[data.E_Y_RATE + l] = n_0 if due else x_0, n_1 if due else x_1
-        w[data.E_PSI + l], w[data.E_PSI_RATE + l] = n_2 if due else x_2, n_3 if due else x_3
+    due, area = w[data.PIECE_ENDS] > 0.0, abs(w[data.PIECE_AREA]) * w[data.BEFORE_T]
+    now = w[data.PIECE_TIME]
+    w[data.AREA] += select(due, area, 0.0)
+    w[data.PIECE_START] += select(due, now, 0.0)
+    signed, x_0, x_1, x_2 = w[data.PIECE_AREA], w[data.E_Y], w[data.E_Y_RATE], w[data.E_PSI]
+    x_3, n_0, n_1 = w[data.E_PSI_RATE], w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE]
+    n_2, n_3 = w[data.NEXT_E_PSI], w[data.NEXT_E_PSI_RATE]
+    w[data.PIECE_AREA], w[data.PIECE_TIME] = select(due, 0.0, signed), select(due, 0.0, now)
+    w[data.E_Y], w[data.E_Y_RATE] = select(due, n_0, x_0), select(due, n_1, x_1)
+    w[data.E_PSI], w[data.E_PSI_RATE] = select(due, n_2, x_2), select(due, n_3, x_3)
 
 
 # ------------------------------------------------------------------------------------------------ one sample
@@ -249,52 +242,51 @@ def _next_piece(setting, w):
 def begin_sample(setting, w, k):
     """Command of sample k from `COMMAND`, delayed and limited; the steering angle just after it."""
     ring, whole = int(setting[data.COMMAND_RING]), k - int(setting[data.DELAY_SAMPLES])
-    newest = data.RINGS + (k % ring) * L
-    fresh, stale = data.RINGS + (whole % ring) * L, data.RINGS + ((whole - 1) % ring) * L
+    newest = data.RINGS + (k % ring)
+    fresh, stale = data.RINGS + (whole % ring), data.RINGS + ((whole - 1) % ring)
     # the steering angle at the trigger is not limited
     most = setting[data.DELTA_MAX] if whole >= 0 else math.inf
     most_stale = setting[data.DELTA_MAX] if whole >= 1 else math.inf
     immediate = setting[data.LAG] == 0.0 and setting[data.RATE_MAX] == math.inf and setting[data.HELD] == 0.0
-    width, split = int(setting[data.WIDTH]), setting[data.DELAY_PART] > 0.0
-    copy(w, newest, w, data.COMMAND, 1)
-    copy(w, data.LAST_COMMAND, w, data.COMMAND, 1)
-    copy(w, data.YOUNG_COMMAND, w, fresh, 1)
-    copy(w, data.OLD_COMMAND, w, stale, 1)
-    copy(w, data.WHEEL_START, w, data.WHEEL, 1)
-    for l in range(width):
-        w[data.PIECE_START + l] = w[data.SAMPLE_START + l] = w[data.T_0 + l] + k * setting[data.DT]
-        young = min(max(w[data.YOUNG_COMMAND + l], -most), most)
-        w[data.YIELDING + l] = 1.0 if young != w[data.YOUNG_COMMAND + l] else 0.0
-        old = min(max(w[data.OLD_COMMAND + l], -most_stale), most_stale)
-        w[data.YOUNG_COMMAND + l], w[data.OLD_COMMAND + l] = young, old
-        w[data.DELTA_START + l] = (old if split else young) if immediate else w[data.WHEEL + l]
+    split = setting[data.DELAY_PART] > 0.0
+    w[newest] = w[data.COMMAND]
+    w[data.LAST_COMMAND] = w[data.COMMAND]
+    w[data.YOUNG_COMMAND] = w[fresh]
+    w[data.OLD_COMMAND] = w[stale]
+    w[data.WHEEL_START] = w[data.WHEEL]
+    w[data.PIECE_START] = w[data.SAMPLE_START] = w[data.T_0] + k * setting[data.DT]
+    young = min(max(w[data.YOUNG_COMMAND], -most), most)
+    w[data.YIELDING] = select(young != w[data.YOUNG_COMMAND], 1.0, 0.0)
+    old = min(max(w[data.OLD_COMMAND], -most_stale), most_stale)
+    w[data.YOUNG_COMMAND], w[data.OLD_COMMAND] = young, old
+    w[data.DELTA_START] = select(immediate, select(split, old, young), w[data.WHEEL])
 
 
 @numba.njit(**OPTIONS)
 def correct_paths(w, paths):
     """Steering angle and lateral acceleration just after the command, in the paths' latest entries."""
     for l in range(L if paths.shape[0] else 0):
-        if w[data.ALIVE + l] > 0.0 and w[data.PATH_ROW + l] >= 0.0:
-            block_table.correct_record(paths, w, l, w[data.DELTA_START + l], w[data.A_Y_START + l])
+        if w[data.ALIVE, l] > 0.0 and w[data.PATH_ROW, l] >= 0.0:
+            block_table.correct_record(paths, w, l, w[data.DELTA_START, l], w[data.A_Y_START, l])
 
 
 @numba.njit(**OPTIONS)
 def begin_segment(setting, w, road, segment):
     """Lengths, command and wheel angle of a segment; True if the wheels ramp in a lane."""
-    copy(w, data.SEGMENT_LENGTH, road, segment, 9)
-    copy(w, data.SEGMENT_START, w, data.PIECE_START, 1)
-    for l in range(int(setting[data.WIDTH])):
-        alive, young, old = w[data.ALIVE + l], w[data.YOUNG_COMMAND + l], w[data.OLD_COMMAND + l]
-        u = young if w[data.SEGMENT_AFTER_DELAY + l] > 0.0 else old
-        w[data.SEGMENT_LENGTH + l] *= alive
-        w[data.SUBSTEP_LENGTH + l] *= alive
-        w[data.BEFORE_T + l] = w[data.SEGMENT_IN_T + l] * alive
-        w[data.COMMAND + l] = w[data.DELTA_START + l] = w[data.DELTA_MID + l] = w[data.DELTA_END + l] = u
-    for n in range(data.SCORES * L):
+    for n in range(9):
+        w[data.SEGMENT_LENGTH + n] = road[segment + n]
+    w[data.SEGMENT_START] = w[data.PIECE_START]
+    alive, young, old = w[data.ALIVE], w[data.YOUNG_COMMAND], w[data.OLD_COMMAND]
+    u = select(w[data.SEGMENT_AFTER_DELAY] > 0.0, young, old)
+    w[data.SEGMENT_LENGTH] *= alive
+    w[data.SUBSTEP_LENGTH] *= alive
+    w[data.BEFORE_T] = w[data.SEGMENT_IN_T] * alive
+    w[data.COMMAND] = w[data.DELTA_START] = w[data.DELTA_MID] = w[data.DELTA_END] = u
+    for n in range(data.SCORES):
         w[data.SAVED + n] = w[data.SCORE + n]
     if setting[data.HELD] > 0.0:
-        copy(w, data.HELD_WHEEL, w, data.WHEEL, 1)
-        copy(w, data.WHEEL, w, data.REFERENCE, 1)
+        w[data.HELD_WHEEL] = w[data.WHEEL]
+        w[data.WHEEL] = w[data.REFERENCE]
     ramps = actuator.steer(setting, w)
     if setting[data.HELD] > 0.0:
         driver.begin_segment(w)
@@ -305,15 +297,14 @@ def begin_segment(setting, w, road, segment):
 def begin_substep(setting, w, j, ramps):
     """Length of substep j in each lane, and the steering angle along it."""
     whole = (j + 1) % data.PIECE == 0
-    for l in range(int(setting[data.WIDTH])):
-        going = j < w[data.N_SUBSTEPS + l]
-        w[data.H + l] = w[data.SUBSTEP_LENGTH + l] if going else 0.0
-        w[data.PIECE_ENDS + l] = 1.0 if (j + 1 == w[data.N_SUBSTEPS + l]) | (going & whole) else 0.0
+    going = w[data.N_SUBSTEPS] > j
+    w[data.H] = select(going, w[data.SUBSTEP_LENGTH], 0.0)
+    w[data.PIECE_ENDS] = select((w[data.N_SUBSTEPS] == j + 1.0) | (going & whole), 1.0, 0.0)
     if setting[data.LAG] > 0.0 or setting[data.RATE_MAX] < math.inf:
         if ramps:
             actuator.along_ramp(setting, w, j)
         else:
-            actuator.along_decay(setting, w)
+            actuator.along_decay(w)
     if setting[data.HELD] > 0.0:
         driver.lay(setting, w)
         if setting[data.ARMS] == 0.0:
@@ -327,11 +318,11 @@ def end_piece(setting, w, k):
         sight.take_between(setting, k, w)
     if _score(setting, w):
         for l in range(L):
-            if w[data.EVENT + l] > 0.0:
+            if w[data.EVENT, l] > 0.0:
                 block_table.look_closer(
-                    setting, w, l, w[data.PIECE_START + l], w[data.PIECE_TIME + l], w[data.BEFORE_T + l] > 0.0
+                    setting, w, l, w[data.PIECE_START, l], w[data.PIECE_TIME, l], w[data.BEFORE_T, l] > 0.0
                 )
-    _next_piece(setting, w)
+    _next_piece(w)
 
 
 @numba.njit(**OPTIONS)
@@ -339,12 +330,12 @@ def end_segment(setting, w):
     """Lanes that have left the bound in a segment end."""
     spun = _SPUN if setting[data.SATURATING] > 0.0 else math.inf
     for l in range(L):
-        inside = (abs(w[data.NEXT_E_Y + l]) <= setting[data.BOUND]) & (abs(w[data.NEXT_E_PSI + l]) < spun)
-        if not inside and w[data.ALIVE + l] > 0.0:
+        inside = (abs(w[data.NEXT_E_Y, l]) <= setting[data.BOUND]) & (abs(w[data.NEXT_E_PSI, l]) < spun)
+        if not inside and w[data.ALIVE, l] > 0.0:
             for n in range(data.SCORES):
-                w[data.SCORE + n * L + l] = w[data.SAVED + n * L + l]
-            block_table.diverge(setting, w, l, w[data.SEGMENT_START + l], w[data.BEFORE_T + l] > 0.0)
-            w[data.DIVERGED + l], w[data.ALIVE + l] = 1.0, 0.0
+                w[data.SCORE + n, l] = w[data.SAVED + n, l]
+            block_table.diverge(setting, w, l, w[data.SEGMENT_START, l], w[data.BEFORE_T, l] > 0.0)
+            w[data.DIVERGED, l], w[data.ALIVE, l] = 1.0, 0.0
 
 
 @numba.njit(**OPTIONS)
@@ -352,7 +343,7 @@ def _drive_segment(setting, w, k, parts, road, segment):
     """All lanes over a segment."""
     ramps, least = begin_segment(setting, w, road, segment), parts
     for l in range(L):
-        least = min(least, int(w[data.N_SUBSTEPS + l]))
+        least = min(least, int(w[data.N_SUBSTEPS, l]))
     for j in range(parts):
         begin_substep(setting, w, j, ramps)
         point, shape = segment + HEADER + 2 * j * POINT_SIZE, setting[data.SHAPE]
@@ -389,21 +380,21 @@ def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, intende
     if setting[data.HELD] > 0.0:
         driver.supervise(setting, w, k)
     _accelerations(setting, w, road, end - POINT_SIZE, data.WHEEL, data.A_Y_END)
-    copy(w, data.BEND_START, bend, bend_offset, 4)
+    for n in range(4):
+        w[data.BEND_START + n] = bend[bend_offset + n]
     return end_sample(setting, w, k, paths)
 
 
 @numba.njit(**OPTIONS)
 def settle(setting, w):
     """The next sample starts where this one ended; a lane that has ended stays finite."""
-    for l in range(int(setting[data.WIDTH])):
-        alive = w[data.ALIVE + l] > 0.0
-        w[data.E_Y + l] = w[data.NEXT_E_Y + l] = w[data.NEXT_E_Y + l] if alive else 0.0
-        w[data.E_Y_RATE + l] = w[data.NEXT_E_Y_RATE + l] = w[data.NEXT_E_Y_RATE + l] if alive else 0.0
-        w[data.E_PSI + l] = w[data.NEXT_E_PSI + l] = w[data.NEXT_E_PSI + l] if alive else 0.0
-        w[data.E_PSI_RATE + l] = w[data.NEXT_E_PSI_RATE + l] = w[data.NEXT_E_PSI_RATE + l] if alive else 0.0
-        rate = abs(w[data.WHEEL + l] - w[data.WHEEL_START + l]) / setting[data.DT]
-        w[data.DELTA_RATE_PEAK + l] = larger(w[data.DELTA_RATE_PEAK + l], rate if alive else 0.0)
+    alive = w[data.ALIVE] > 0.0
+    w[data.E_Y] = w[data.NEXT_E_Y] = select(alive, w[data.NEXT_E_Y], 0.0)
+    w[data.E_Y_RATE] = w[data.NEXT_E_Y_RATE] = select(alive, w[data.NEXT_E_Y_RATE], 0.0)
+    w[data.E_PSI] = w[data.NEXT_E_PSI] = select(alive, w[data.NEXT_E_PSI], 0.0)
+    w[data.E_PSI_RATE] = w[data.NEXT_E_PSI_RATE] = select(alive, w[data.NEXT_E_PSI_RATE], 0.0)
+    rate = abs(w[data.WHEEL] - w[data.WHEEL_START]) / setting[data.DT]
+    w[data.DELTA_RATE_PEAK] = max(w[data.DELTA_RATE_PEAK], select(alive, rate, 0.0))
 
 
 @numba.njit(**OPTIONS)
@@ -411,7 +402,7 @@ def end_sample(setting, w, k, paths):
     """Scores of the acceleration over sample k, and paths; the number of lanes that go on."""
     block_table.look_back(setting, w, k)
     for l in range(L):
-        if w[data.ALIVE + l] > 0.0 and k + 1 == w[data.ALL_STEPS + l]:
+        if w[data.ALIVE, l] > 0.0 and k + 1 == w[data.ALL_STEPS, l]:
             block_table.look_back_from_end(setting, w, l, k)
     block_table.score_limits(setting, w)
     return block_table.end_sample(setting, w, k, paths)
@@ -424,11 +415,11 @@ def at_T(w, road, segment, paths):
     Their accelerations stand in the rows from `A_Y_START_PAST` on.
     """
     for l in range(L):
-        if w[data.BEFORE_T + l] * w[data.ALIVE + l] > 0.0 and road[segment + L + l] == 0.0 and road[segment + l] > 0.0:
-            peak = abs(w[data.A_Y_RELATIVE_START_PAST + l])
-            w[data.A_Y_ADDED_PEAK + l] = max(w[data.A_Y_ADDED_PEAK + l], peak)
-            if paths.shape[0] and w[data.PATH_ROW + l] >= 0.0:
-                block_table.record(paths, w, l, w[data.T + l], w[data.A_Y_START_PAST + l])
+        if w[data.BEFORE_T, l] * w[data.ALIVE, l] > 0.0 and road[segment + 1, l] == 0.0 and road[segment, l] > 0.0:
+            peak = abs(w[data.A_Y_RELATIVE_START_PAST, l])
+            w[data.A_Y_ADDED_PEAK, l] = max(w[data.A_Y_ADDED_PEAK, l], peak)
+            if paths.shape[0] and w[data.PATH_ROW, l] >= 0.0:
+                block_table.record(paths, w, l, w[data.T, l], w[data.A_Y_START_PAST, l])
 
 
 # ------------------------------------------------------------------------------------------------ a whole run
@@ -437,89 +428,76 @@ def at_T(w, road, segment, paths):
 @numba.njit(**OPTIONS)
 def start(scene, setting, block, w, paths, path_rows):
     """Everything before the first sample of a block."""
-    w[:] = 0.0
+    frames, _, modes, rows = rings(setting)
+    for n in range(rows):
+        w[n] = 0.0
     block_table.begin(scene, setting, block, w, paths, path_rows)
-    size, count, modes = int(setting[data.FRAME_RING]), int(setting[data.MODES]), rings(setting)[2]
+    size, count = int(setting[data.FRAME_RING]), int(setting[data.MODES])
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
-        w[data.OUTWARD + l], w[data.N_SUBSTEPS + l] = scene[i, data.SIDE], scene[i, data.SUBSTEPS]
-        w[data.SCENARIO + l], w[data.CURVE_BIAS + l] = scene[i, data.INDEX], scene[i, data.CURVATURE_BIAS]
+        w[data.OUTWARD, l], w[data.N_SUBSTEPS, l] = scene[i, data.SIDE], scene[i, data.SUBSTEPS]
+        w[data.SCENARIO, l], w[data.CURVE_BIAS, l] = scene[i, data.INDEX], scene[i, data.CURVATURE_BIAS]
         T, v, a = scene[i, data.T_END], scene[i, data.SPEED], 0.0
         if setting[data.PROFILE] > 0.0:
             v, a = scene[i, data.V_MEAN] - 0.5 * scene[i, data.A_MEAN] * T, scene[i, data.A_MEAN]
         road = (v, a, scene[i, data.C_0], scene[i, data.DC] / T, math.pi / T)
         for n in range(5):
-            w[data.V_0 + n * L + l] = road[n]
+            w[data.V_0 + n, l] = road[n]
         for j in range(count):
-            w[modes + j * L + l] = scene[i, data.SCENE + j]
+            w[modes + j, l] = scene[i, data.SCENE + j]
             if setting[data.PROFILE] > 0.0 and scene[i, data.SCENE + j] != 0.0:
-                w[data.MODES_USED] = max(w[data.MODES_USED], j + 1.0)
+                w[data.MODES_USED, 0] = max(w[data.MODES_USED, 0], j + 1.0)
         mass, I_z, l_f, l_r = scene[i, data.MASS], scene[i, data.I_Z], scene[i, data.L_F], scene[i, data.L_R]
         # forces over the mass: of an axle per slip angle, or its largest; lever arms over the yaw inertia, times mass
         front, rear = 2.0 * scene[i, data.C_AF] / mass, 2.0 * scene[i, data.C_AR] / mass
         grip = scene[i, data.MU] * GRAVITY / (l_f + l_r)
         if setting[data.SATURATING] > 0.0:
             front, rear = front / (setting[data.SHAPE] * grip * l_r), rear / (setting[data.SHAPE] * grip * l_f)
-        car = (
-            front,
-            rear,
-            l_f,
-            l_r,
-            l_f * mass / I_z,
-            l_r * mass / I_z,
-            scene[i, data.PRINTED],
-            grip * l_r,
-            grip * l_f,
-        )
+        arms = l_f * mass / I_z, l_r * mass / I_z
+        car = (front, rear, l_f, l_r, *arms, scene[i, data.PRINTED], grip * l_r, grip * l_f)
         for n in range(9):
-            w[data.STIFFNESS_F + n * L + l] = car[n]
-        w[data.REFERENCE + l] = scene[i, data.DELTA_0]
-        w[data.COLUMN + l] = scene[i, data.DELTA_0] * setting[data.RATIO] if setting[data.ARMS] > 0.0 else 0.0
+            w[data.STIFFNESS_F + n, l] = car[n]
+        w[data.REFERENCE, l] = scene[i, data.DELTA_0]
+        w[data.COLUMN, l] = scene[i, data.DELTA_0] * setting[data.RATIO] if setting[data.ARMS] > 0.0 else 0.0
         for n in range(8):
-            w[data.INTENT + n * L + l] = scene[i, data.DRIVER + n]
+            w[data.INTENT + n, l] = scene[i, data.DRIVER + n]
         for n in range(2 * int(setting[data.COMMAND_RING])):
-            w[data.RINGS + n * L + l] = scene[i, data.DELTA_0]
-        w[data.WHEEL_SEEN + l] = w[data.LAST_COMMAND + l]
+            w[data.RINGS + n, l] = scene[i, data.DELTA_0]
         if setting[data.FILTERED] > 0.0:
             model = data.SCENE + count + 2 * int(setting[data.EARLIER_FRAMES])
             for n in range(data.FILTER):
-                w[data.FILTER_ROWS + n * L + l] = scene[i, model + n]
+                w[data.FILTER_ROWS + n, l] = scene[i, model + n]
             for n in range(4):
-                w[data.ESTIMATE + n * L + l] = scene[i, model + data.FIRST + n] * w[data.ALIVE + l]
-        if setting[data.CAMERA] > 0.0:
-            k = 0
-            while sight.frame_of(setting, k) < 0:
-                frame = rings(setting)[0] + 2 * (k % size) * L + l
-                for n in range(2):
-                    w[frame + n * L] = scene[i, data.SCENE + count + 2 * (-sight.frame_of(setting, k) - 1) + n]
-                k += 1
-        w[data.SEGMENT_START + l] = w[data.T_0 + l]
+                w[data.ESTIMATE + n, l] = scene[i, model + data.FIRST + n] * w[data.ALIVE, l]
+        k = 0
+        while setting[data.CAMERA] > 0.0 and sight.frame_of(setting, k) < 0:
+            for n in range(2):
+                column = data.SCENE + count + 2 * (-sight.frame_of(setting, k) - 1) + n
+                w[frames + 2 * (k % size) + n, l] = scene[i, column]
+            k += 1
+    w[data.WHEEL_SEEN], w[data.SEGMENT_START] = w[data.LAST_COMMAND], w[data.T_0]
     lay_point(setting, w, 0.0)
     _accelerations(setting, w, w, data.V_START, data.WHEEL, data.A_Y_START)
-    copy(w, data.A_Y_BEFORE, w, data.A_Y_START, 1)
+    w[data.A_Y_BEFORE] = w[data.A_Y_START]
 
 
 @numba.njit(**OPTIONS)
-def drive_block_any(scene, setting, law, times, recorded, motion, paths, path_rows, block, score, diverged, failed):
+def drive_block_any(
+    scene, setting, law, times, recorded, motion, paths, path_rows, block, score, diverged, failed, tables, ends
+):
     """Every design of a law on one block of scenarios; what designs share is worked out once."""
+    w, lane_weights, bend, road, preview, noise, intended = tables
     m, lookaheads, columns = scene.shape[0], times.shape[1], law.shape[2] - data.LAW
-    _, _, _, size = rings(setting)
-    w = np.empty(size)
     start(scene, setting, block, w, paths[:0], path_rows)
-    parts, most, segments = substeps_of(w), 0, 2 if setting[data.DELAY_PART] > 0.0 else 1
+    parts, most, wide = substeps_of(w), 0, 1 + 2 * lookaheads
     for l in range(L):
-        most = max(most, int(w[data.ALL_STEPS + l]))
-    lane_weights, bend, wide = np.empty(columns * L), np.empty(4 * most * L), (1 + 2 * lookaheads) * L
-    road, ends = np.empty((segments * most + 2 * L) * segment_size(parts)), np.zeros(most + 1, dtype=np.int64)
-    preview, noise = np.empty(most * wide), np.empty(most * 2 * L)
-    steers = setting[data.HELD] > 0.0
-    intended = np.empty(7 * most * L if steers else 0)
+        most = max(most, int(w[data.ALL_STEPS, l]))
     for k in range(most):
-        if steers:
-            driver.lay_recorded(setting, w, motion, block, k, intended, 7 * k * L)
+        if setting[data.HELD] > 0.0:
+            driver.lay_recorded(setting, w, motion, block, k, intended, 7 * k)
         ends[k + 1] = lay_road(setting, k, w, parts, road, ends[k])
-        block_table.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
-        sight.noise_of(setting, k, w, noise, k * 2 * L)
+        block_table.lay_bend(setting, recorded, block, k, w, bend, 4 * k)
+        sight.noise_of(setting, k, w, noise, 2 * k)
     for design in range(law.shape[0]):
         same = design > 0
         for j in range(lookaheads):
@@ -531,14 +509,12 @@ def drive_block_any(scene, setting, law, times, recorded, motion, paths, path_ro
         for l in range(L):
             i = min(block * L + l, m - 1)
             for n in range(data.LAW):
-                w[data.F_E_Y + n * L + l] = law[design, i, n]
+                w[data.F_E_Y + n, l] = law[design, i, n]
             for j in range(columns):
-                lane_weights[j * L + l] = law[design, i, data.LAW + j]
+                lane_weights[j, l] = law[design, i, data.LAW + j]
         for k in range(most):
-            sight.see(setting, w, k, preview, k * wide, noise, k * 2 * L)
+            sight.see(setting, w, k, preview, k * wide, noise, 2 * k)
             sight.command(setting, w, k, lane_weights, preview, k * wide, lookaheads, columns - 2 * lookaheads)
-            if not advance(
-                setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k * L, intended, 7 * k * L, paths
-            ):
+            if not advance(setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k, intended, 7 * k, paths):
                 break
         block_table.store_scores(w, design, block, score, diverged, failed)

@@ -8,7 +8,8 @@ from typing import Final
 import numba
 import numpy as np
 
-from ldctoolkit.numba_internals import LARGEST_FLOAT, OPTIONS, copy, fma
+from ldctoolkit.lanes import fma, rint, select
+from ldctoolkit.numba_internals import LARGEST_FLOAT, OPTIONS
 from ldctoolkit.paths.kernels import normal_pair
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.kernel.block_table import SAME, L, rings
@@ -27,25 +28,18 @@ def frame_of(setting, k):
 @numba.njit(**OPTIONS)
 def preview_lane(setting, k, w, times, preview, to):
     """The lane at sample k, from `to` on: yaw rate at the filter's time; it and turn at each lookahead time."""
-    gain, width = 1.0 + setting[data.CURVATURE_GAIN], int(setting[data.WIDTH])
-    for j in range(0 if setting[data.FILTERED] > 0.0 else 1, times.shape[0] + 2):
-        # the time of the filter's state, now, and then the lookahead times
-        late = -setting[data.KNOWN_AGE] if j == 0 else (times[j - 2] if j > 1 else 0.0)
-        for l in range(width):
-            w[data.TIME + l] = w[data.T_0 + l] + k * setting[data.DT] + late
-        along(setting, w, True)
-        if j == 1:
-            copy(w, data.WAY_NOW, w, data.MOTION_WAY, 2)
-            continue
-        for l in range(width):
-            curve = fma(w[data.CURVATURE_RATE + l], min(w[data.TIME + l], w[data.T + l]), w[data.CURVATURE_0 + l])
-            way, turn = w[data.MOTION_WAY + l] - w[data.WAY_NOW + l], w[data.MOTION_TURN + l] - w[data.TURN_NOW + l]
-            w[data.MOTION_V + l] *= fma(gain, curve, w[data.CURVE_BIAS + l])
-            w[data.MOTION_DV + l] = fma(gain, turn, w[data.CURVE_BIAS + l] * way)
-        if j == 0:
-            copy(preview, to, w, data.MOTION_V, 1)
-        else:
-            copy(preview, to + (2 * j - 3) * L, w, data.MOTION_V, 2)
+    gain, bias, now = 1.0 + setting[data.CURVATURE_GAIN], w[data.CURVE_BIAS], w[data.T_0] + k * setting[data.DT]
+    if setting[data.FILTERED] > 0.0:
+        t = now - setting[data.KNOWN_AGE]
+        v, _, _, _ = along(setting, w, t, False)
+        preview[to] = v * fma(gain, fma(w[data.CURVATURE_RATE], min(t, w[data.T]), w[data.CURVATURE_0]), bias)
+    _, _, way_now, turn_now = along(setting, w, now, True)
+    for j in range(times.shape[0]):
+        t = now + times[j]
+        v, _, way, turn = along(setting, w, t, True)
+        curve = fma(w[data.CURVATURE_RATE], min(t, w[data.T]), w[data.CURVATURE_0])
+        preview[to + 1 + 2 * j] = v * fma(gain, curve, bias)
+        preview[to + 2 + 2 * j] = fma(gain, turn - turn_now, bias * (way - way_now))
 
 
 @numba.njit(**OPTIONS)
@@ -55,7 +49,7 @@ def noise_of(setting, k, w, noise, to):
         seed = (np.uint64(setting[data.SEED_HIGH]) << np.uint64(32)) | np.uint64(setting[data.SEED_LOW])
         frame = np.uint64(_FRAME_ZERO + frame_of(setting, k))
         for l in range(L):
-            noise[to + l], noise[to + L + l] = normal_pair(seed, np.uint64(w[data.SCENARIO + l]), _CAMERA, frame)
+            noise[to, l], noise[to + 1, l] = normal_pair(seed, np.uint64(w[data.SCENARIO, l]), _CAMERA, frame)
 
 
 @numba.njit(**OPTIONS)
@@ -74,9 +68,8 @@ def _take_frames(setting, k, w):
         if late > SAME:
             return
         if late >= -SAME:
-            frame = frames + 2 * (j % size) * L
-            for l in range(L):
-                w[frame + l], w[frame + L + l] = w[data.E_Y + l], w[data.E_PSI + l]
+            frame = frames + 2 * (j % size)
+            w[frame], w[frame + 1] = w[data.E_Y], w[data.E_PSI]
         j += 1
 
 
@@ -90,143 +83,98 @@ def take_between(setting, k, w):
         if late >= setting[data.DT] * (1.0 - SAME):
             return
         if late > setting[data.DT] * SAME:
-            for l in range(L):
-                h = w[data.PIECE_TIME + l]
-                s = w[data.T_0 + l] + k * setting[data.DT] + late - w[data.PIECE_START + l]
-                if 0.0 <= s <= h and w[data.PIECE_ENDS + l] > 0.0:
-                    u, frame = s / h, frames + 2 * (j % size) * L + l
-                    a, b = u * u * (3.0 - 2.0 * u), h * u * (1.0 - u)
-                    for n in range(2):
-                        row = 2 * n * L + l
-                        x, m = w[data.E_Y + row], (1.0 - u) * w[data.E_Y_RATE + row] - u * w[data.NEXT_E_Y_RATE + row]
-                        w[frame + n * L] = x + a * (w[data.NEXT_E_Y + row] - x) + b * m
+            h, frame = w[data.PIECE_TIME], frames + 2 * (j % size)
+            s = w[data.T_0] + k * setting[data.DT] + late - w[data.PIECE_START]
+            within = (s >= 0.0) & (s <= h) & (w[data.PIECE_ENDS] > 0.0)
+            u = s / h
+            a, b = u * u * (3.0 - 2.0 * u), h * u * (1.0 - u)
+            for n in range(2):
+                x, following = w[data.E_Y + 2 * n], w[data.NEXT_E_Y + 2 * n]
+                slope = (1.0 - u) * w[data.E_Y_RATE + 2 * n] - u * w[data.NEXT_E_Y_RATE + 2 * n]
+                w[frame + n] = select(within, x + a * (following - x) + b * slope, w[frame + n])
         j += 1
 
 
-@numba.njit(forceinline=True, **OPTIONS)
-def _predict(w, n, width):
-    """Predict the n-th state: x+ = A x + B delta_young + B_old delta_old + W wheel + E_0 r + E_1 r+.
-
-    x and r+ stand in the rows from `POINTS` on, both commands in `WORK_2` and `WORK_3`.
-    """
-    row, from_state = data.FILTER_ROWS + n * L, data.FILTER_ROWS + (data.MODEL_A + 4 * n) * L
-    for l in range(width):
-        value = w[row + data.MODEL_B * L + l] * w[data.WORK_2 + l]
-        value = fma(w[row + data.MODEL_E_0 * L + l], w[data.LANE_RATE_SEEN + l], value)
-        value = fma(w[row + data.MODEL_OLD * L + l], w[data.WORK_3 + l], value)
-        value = fma(w[row + data.MODEL_WHEEL * L + l], w[data.WHEEL_SEEN_BEFORE + l], value)
-        value = fma(w[row + data.MODEL_E_1 * L + l], w[data.POINTS + l], value)
-        z_0, z_1 = w[data.POINTS + L + l], w[data.POINTS + 2 * L + l]
-        value = fma(w[from_state + l], z_0, fma(w[from_state + L + l], z_1, value))
-        z_2, z_3 = w[data.POINTS + 3 * L + l], w[data.POINTS + 4 * L + l]
-        w[data.ESTIMATE + n * L + l] = fma(w[from_state + 2 * L + l], z_2, fma(w[from_state + 3 * L + l], z_3, value))
-
-
-@numba.njit(forceinline=True, **OPTIONS)
-def _correct(w, n, width):
-    """Correct it by K times the innovations of e_y and e_psi, in `WORK_0` and `WORK_1`."""
-    row = data.FILTER_ROWS + (data.GAIN + 2 * n) * L
-    for l in range(width):
-        value = w[row + l] * w[data.WORK_0 + l] + w[row + L + l] * w[data.WORK_1 + l]
-        w[data.ESTIMATE + n * L + l] += value
-
-
 @numba.njit(**OPTIONS)
-def see(setting, w, k, preview, preview_offset, noise, noise_offset):
+def see(setting, w, k, preview, preview_row, noise, noise_row):
     """The state as the law sees it at sample k; each sample once and in order.
 
     The camera gives e_y and e_psi of the latest frame that has arrived, q round((y + bias + noise)/q) each; the filter
     predicts with every sample and corrects with every new frame.
     """
-    ring, age, width = (
-        int(setting[data.COMMAND_RING]),
-        setting[data.KNOWN_AGE] / setting[data.DT],
-        int(setting[data.WIDTH]),
-    )
-    wheels, newer = data.RINGS + ring * L, k - math.floor(age + SAME)
+    ring, age = int(setting[data.COMMAND_RING]), setting[data.KNOWN_AGE] / setting[data.DT]
+    wheels, newer = data.RINGS + ring, k - math.floor(age + SAME)
     share = max(age - math.floor(age + SAME), 0.0)
-    copy(w, wheels + (k % ring) * L, w, data.WHEEL, 1)
-    copy(w, data.WHEEL_SEEN_BEFORE, w, data.WHEEL_SEEN, 1)
-    copy(w, data.WORK_0, w, wheels + (newer % ring) * L, 1)
-    copy(w, data.WORK_1, w, wheels + ((newer - 1) % ring) * L, 1)
-    for l in range(width):
-        w[data.WHEEL_SEEN + l] = w[data.WORK_0 + l] + share * (w[data.WORK_1 + l] - w[data.WORK_0 + l])
-    copy(w, data.SEEN_E_Y, w, data.E_Y, 4)
-    if setting[data.CAMERA] == 0.0:
-        return
-    _take_frames(setting, k, w)
-    frames, _, _, _ = rings(setting)
-    draws, lane = data.WORK_2, data.POINTS  # what is worked on together lies in one array
-    copy(w, data.WORK_0, w, frames + 2 * (k % int(setting[data.FRAME_RING])) * L, 2)
-    if setting[data.NOISE_Y] + setting[data.NOISE_PSI] > 0.0:
-        copy(w, draws, noise, noise_offset, 2)
-    else:
-        for n in range(2 * L):
-            w[draws + n] = 0.0
-    for n in range(2):
-        spread, bias, step = setting[data.NOISE_Y + n], setting[data.BIAS_Y + n], setting[data.STEP_Y + n]
-        for l in range(width):
-            w[data.WORK_0 + l] += fma(w[data.OUTWARD + l], bias, spread * w[draws + l])
-        if step > 0.0:
-            for l in range(L):
-                w[data.WORK_0 + l] = step * np.rint(w[data.WORK_0 + l] / step)
-        copy(w, data.SEEN_E_Y + 2 * n * L, w, data.WORK_0, 1)
-        copy(w, data.WORK_0, w, data.WORK_1, 1)
-        copy(w, draws, w, draws + L, 1)
-    if setting[data.FILTERED] == 0.0:
-        return
-    young = data.RINGS + ((k - 1 - int(setting[data.KNOWN_DELAY])) % ring) * L
-    old = data.RINGS + ((k - 2 - int(setting[data.KNOWN_DELAY])) % ring) * L
-    copy(w, lane, preview, preview_offset, 1)
+    w[wheels + k % ring] = w[data.WHEEL]
+    w[data.WHEEL_SEEN_BEFORE] = w[data.WHEEL_SEEN]
+    wheel = w[wheels + newer % ring]
+    w[data.WHEEL_SEEN] = wheel + share * (w[wheels + (newer - 1) % ring] - wheel)
+    for n in range(4):
+        w[data.SEEN_E_Y + n] = w[data.E_Y + n]
+    if setting[data.CAMERA] > 0.0:
+        _take_frames(setting, k, w)
+        frames, _, _, _ = rings(setting)
+        frame = frames + 2 * (k % int(setting[data.FRAME_RING]))
+        noisy = setting[data.NOISE_Y] + setting[data.NOISE_PSI] > 0.0
+        for n in range(2):
+            spread, bias, step = setting[data.NOISE_Y + n], setting[data.BIAS_Y + n], setting[data.STEP_Y + n]
+            error = w[data.OUTWARD] * bias
+            if noisy:
+                error = fma(w[data.OUTWARD], bias, spread * noise[noise_row + n])
+            value = w[frame + n] + error
+            w[data.SEEN_E_Y + 2 * n] = step * rint(value / step) if step > 0.0 else value
+        if setting[data.FILTERED] > 0.0:
+            _filter(setting, w, k, preview[preview_row])
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _filter(setting, w, k, lane_rate):
+    """The Kalman filter's estimate at sample k instead of the frame; the lane's yaw rate is that at its time.
+
+    x+ = A x + B delta_young + B_old delta_old + W wheel + E_0 r + E_1 r+, then x + K (frame - x).
+    """
+    ring, model = int(setting[data.COMMAND_RING]), data.FILTER_ROWS
     if k > 0:
-        copy(w, draws, w, young, 1)
-        copy(w, draws + L, w, old, 1)
-        copy(w, data.POINTS + L, w, data.ESTIMATE, 4)
-        _predict(w, 0, width)
-        _predict(w, 1, width)
-        _predict(w, 2, width)
-        _predict(w, 3, width)
+        young = w[data.RINGS + (k - 1 - int(setting[data.KNOWN_DELAY])) % ring]
+        old = w[data.RINGS + (k - 2 - int(setting[data.KNOWN_DELAY])) % ring]
+        before, wheel = w[data.LANE_RATE_SEEN], w[data.WHEEL_SEEN_BEFORE]
+        z_0, z_1, z_2, z_3 = w[data.ESTIMATE], w[data.ESTIMATE + 1], w[data.ESTIMATE + 2], w[data.ESTIMATE + 3]
+        for n in range(4):
+            value = w[model + data.MODEL_B + n] * young
+            value = fma(w[model + data.MODEL_E_0 + n], before, value)
+            value = fma(w[model + data.MODEL_OLD + n], old, value)
+            value = fma(w[model + data.MODEL_WHEEL + n], wheel, value)
+            value = fma(w[model + data.MODEL_E_1 + n], lane_rate, value)
+            row = model + data.MODEL_A + 4 * n
+            value = fma(w[row], z_0, fma(w[row + 1], z_1, value))
+            w[data.ESTIMATE + n] = fma(w[row + 2], z_2, fma(w[row + 3], z_3, value))
     if k == 0 or frame_of(setting, k) != frame_of(setting, k - 1):
-        for l in range(width):
-            w[data.WORK_0 + l] = w[data.SEEN_E_Y + l] - w[data.ESTIMATE + l]
-            w[data.WORK_1 + l] = w[data.SEEN_E_PSI + l] - w[data.ESTIMATE + 2 * L + l]
-        _correct(w, 0, width)
-        _correct(w, 1, width)
-        _correct(w, 2, width)
-        _correct(w, 3, width)
-    copy(w, data.LANE_RATE_SEEN, w, lane, 1)
-    copy(w, data.SEEN_E_Y, w, data.ESTIMATE, 4)
+        y, psi = w[data.SEEN_E_Y] - w[data.ESTIMATE], w[data.SEEN_E_PSI] - w[data.ESTIMATE + 2]
+        w[data.INNOVATION_Y], w[data.INNOVATION_PSI] = y, psi
+        for n in range(4):
+            row = model + data.GAIN + 2 * n
+            w[data.ESTIMATE + n] += w[row] * y + w[row + 1] * psi
+    w[data.LANE_RATE_SEEN] = lane_rate
+    for n in range(4):
+        w[data.SEEN_E_Y + n] = w[data.ESTIMATE + n]
 
 
 @numba.njit(**OPTIONS)
-def command(setting, w, k, lane_weights, preview, preview_offset, lookaheads, past):
+def command(setting, w, k, lane_weights, preview, preview_row, lookaheads, past):
     """Command of a linear law, as in `exact_loop`, into `COMMAND`; once a sample, since it integrates e_y."""
-    width = int(setting[data.WIDTH])
-    for l in range(width):
-        w[data.COMMAND + l] = w[data.F_I + l] * w[data.E_Y_INTEGRAL + l]
-        stops = w[data.F_CONDITIONED + l] * w[data.YIELDING + l] > 0.0
-        w[data.E_Y_INTEGRAL + l] = fma(
-            0.0 if stops else setting[data.DT], w[data.SEEN_E_Y + l], w[data.E_Y_INTEGRAL + l]
-        )
-    for j in range(2 * lookaheads + past):
-        copy(w, data.WORK_0, lane_weights, j * L, 1)
-        if j < 2 * lookaheads:
-            copy(w, data.WORK_1, preview, preview_offset + (1 + j) * L, 1)
-        else:
-            copy(
-                w, data.WORK_1, w, data.RINGS + ((k - 2 - j + 2 * lookaheads) % int(setting[data.COMMAND_RING])) * L, 1
-            )
-        for l in range(width):
-            w[data.COMMAND + l] = fma(w[data.WORK_0 + l], w[data.WORK_1 + l], w[data.COMMAND + l])
-    for l in range(width):
-        value = fma(w[data.F_U + l], w[data.LAST_COMMAND + l], w[data.COMMAND + l])
-        value = fma(
-            w[data.F_E_Y + l], w[data.SEEN_E_Y + l], fma(w[data.F_E_Y_RATE + l], w[data.SEEN_E_Y_RATE + l], value)
-        )
-        value = fma(w[data.F_E_PSI + l], w[data.SEEN_E_PSI + l], value)
-        value = fma(w[data.F_E_PSI_RATE + l], w[data.SEEN_E_PSI_RATE + l], value)
-        value = fma(w[data.F_WHEEL + l], w[data.WHEEL_SEEN + l], value)
-        wrong = not abs(value) < LARGEST_FLOAT
-        alive, last = w[data.ALIVE + l], w[data.LAST_COMMAND + l]
-        w[data.FAILED + l] += alive if wrong else 0.0
-        w[data.COMMAND + l] = last if wrong else value
+    e_y, ring = w[data.SEEN_E_Y], int(setting[data.COMMAND_RING])
+    value = w[data.F_I] * w[data.E_Y_INTEGRAL]
+    stops = w[data.F_CONDITIONED] * w[data.YIELDING] > 0.0
+    w[data.E_Y_INTEGRAL] = fma(select(stops, 0.0, setting[data.DT]), e_y, w[data.E_Y_INTEGRAL])
+    for j in range(2 * lookaheads):
+        value = fma(lane_weights[j], preview[preview_row + 1 + j], value)
+    for j in range(past):
+        value = fma(lane_weights[2 * lookaheads + j], w[data.RINGS + (k - 2 - j) % ring], value)
+    value = fma(w[data.F_U], w[data.LAST_COMMAND], value)
+    value = fma(w[data.F_E_Y], e_y, fma(w[data.F_E_Y_RATE], w[data.SEEN_E_Y_RATE], value))
+    value = fma(w[data.F_E_PSI], w[data.SEEN_E_PSI], value)
+    value = fma(w[data.F_E_PSI_RATE], w[data.SEEN_E_PSI_RATE], value)
+    value = fma(w[data.F_WHEEL], w[data.WHEEL_SEEN], value)
+    wrong = ~(abs(value) < LARGEST_FLOAT)
+    w[data.FAILED] += select(wrong, w[data.ALIVE], 0.0)
+    w[data.COMMAND] = select(wrong, w[data.LAST_COMMAND], value)
