@@ -178,8 +178,8 @@ def _fused(builder, a, b, c):
     return _called(builder, "fma", [a, b, c]) if a.type == _VECTOR else builder.fma(a, b, c)
 
 
-def _rounded(builder, a):
-    return _called(builder, "rint", [a])
+def _rounding(name):
+    return _function(lambda a: a if a == _lanes else None, lambda builder, a: _called(builder, name, [a]), "a")
 
 
 # a product and a sum rounded once, where the code says so: left to the compiler, two processes could differ in it
@@ -191,7 +191,23 @@ select: Final[Any] = _function(
     "mask", "a", "b",
 )  # fmt: skip
 # to the nearest whole number, halves to even ones
-rint: Final[Any] = _function(lambda a: a if a == _lanes else None, _rounded, "a")
+rint: Final[Any] = _rounding("rint")
+
+
+def _reduced(name):
+    def build(builder, a):
+        function = ir.FunctionType(ir.DoubleType(), [_VECTOR])
+        name_of_all = f"llvm.vector.reduce.{name}.v{LANES}f64"
+        return builder.call(cgutils.get_or_insert_function(builder.module, function, name_of_all), [a])
+
+    return _function(lambda a: types.float64 if a == _lanes else None, build, "a")
+
+
+# the largest and the smallest number of lanes
+largest: Final[Any] = _reduced("fmax")
+smallest: Final[Any] = _reduced("fmin")
+# each number to the next whole one
+ceil: Final[Any] = _rounding("ceil")
 # whether a mask holds in any lane
 any_lane: Final[Any] = _function(
     lambda mask: types.boolean if mask == _mask else None,

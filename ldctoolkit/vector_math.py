@@ -3,13 +3,14 @@
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 import numba
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.lanes import fma, select
+from ldctoolkit.lanes import any_lane, fma, select
 from ldctoolkit.numba_internals import OPTIONS
 
 _MOST_PASSES: Final = 40
@@ -95,16 +96,31 @@ def touches(e_0, rate_0, e_1, rate_1, h):
     return turns & (min(abs(e_0), abs(e_1)) < h * (abs(rate_0) + abs(rate_1)))
 
 
+NEAR: Final = 0.4142135623730951  # sqrt(2) - 1, to which `arctan_near` reaches
+
+
 @numba.njit(forceinline=True, **OPTIONS)
 def arctan(x):
     """Arc tangent to 3e-10, without a branch."""
     a = abs(x)
-    far, mid = a > 2.414213562373095, a > 0.4142135623730951
+    far, mid = a > 2.414213562373095, a > NEAR
     z = select(far, -1.0, select(mid, a - 1.0, a)) / select(far, a, select(mid, a + 1.0, 1.0))
-    s = z * z
-    p = fma(s, fma(s, -0.060260709468774064, 0.10569738007378487), -0.14239520492592156)
-    p = fma(s, fma(s, fma(s, p, 0.19998182383953952), -0.3333330688086095), 0.999999999370875)
-    return math.copysign(fma(z, p, select(far, 0.5 * math.pi, select(mid, 0.25 * math.pi, 0.0))), x)
+    offset = select(far, 0.5 * math.pi, select(mid, 0.25 * math.pi, 0.0))
+    return math.copysign(fma(z, _arctan_series(z * z), offset), x)
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def arctan_near(x):
+    """The same bits between -NEAR and NEAR, without a division."""
+    return x * _arctan_series(x * x)
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _arctan_series(s):
+    s_2 = s * s
+    high = fma(s, -0.14239520492592156, 0.19998182383953952)
+    high = fma(s_2, fma(s, -0.060260709468774064, 0.10569738007378487), high)
+    return fma(s_2, high, fma(s, -0.3333330688086095, 0.999999999370875))
 
 
 @numba.njit(forceinline=True, **OPTIONS)
@@ -123,6 +139,67 @@ def sine(x):
 def cosine(x):
     """Cosine of an angle between -3/2 pi and 3/2 pi, without a branch."""
     return sine(0.5 * math.pi - abs(x))
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def sine_and_cosine(x):
+    """Both of an angle between -pi/2 and pi/2 to 3e-11 and 3e-10."""
+    s = x * x
+    s_2 = s * s
+    high = fma(s, -0.0001984086117768862, 0.00833333097418828)
+    high = fma(s_2, fma(s, -2.3889217031975295e-08, 2.752526975389417e-06), high)
+    sin_x = x * fma(s_2, high, fma(s, -0.16666666616814685, 0.9999999999829183))
+    high = fma(s, -0.0013888360284140843, 0.041666636159695604)
+    high = fma(s_2, fma(s, -2.60506573321564e-07, 2.4760109662353647e-05), high)
+    return sin_x, fma(s_2, high, fma(s, -0.49999999355436703, 0.999999999779153))
+
+
+_TERMS: Final = 12  # of each series of a tyre
+TYRE_SERIES: Final = 2 * _TERMS + 2
+
+
+def tyre_series(shape: float) -> FloatArray:
+    """Numbers by which `tyre_force` works for a shape factor C from 1 to 2.
+
+    Series in x^2 of sin(C arctan x)/x and of cos(C arctan x) on [0, 1], interpolated at Chebyshev's points, then sine
+    and cosine of C pi/2.
+    """
+    from numpy.polynomial import Chebyshev, Polynomial
+
+    def series(function: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        fitted = Chebyshev.interpolate(lambda s: function(np.sqrt(s)), _TERMS - 1, domain=[0.0, 1.0])
+        return np.asarray(fitted.convert(kind=Polynomial).coef)
+
+    sines = series(lambda x: np.sin(shape * np.arctan(x)) / x)
+    cosines = series(lambda x: np.cos(shape * np.arctan(x)))
+    limit = 0.5 * math.pi * shape
+    return np.concatenate([sines, cosines, [math.sin(limit), math.cos(limit)]])
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _series(c, k, s):
+    """Sum of twelve terms c_k, c_k+1 s, ..."""
+    s_2 = s * s
+    s_4 = s_2 * s_2
+    low = fma(s_2, fma(s, c[k + 3], c[k + 2]), fma(s, c[k + 1], c[k]))
+    mid = fma(s_2, fma(s, c[k + 7], c[k + 6]), fma(s, c[k + 5], c[k + 4]))
+    high = fma(s_2, fma(s, c[k + 11], c[k + 10]), fma(s, c[k + 9], c[k + 8]))
+    return fma(s_4, fma(s_4, high, mid), low)
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def tyre_force(c, k, x):
+    """Lanes of sin(C arctan x) to 2e-9, with the numbers of `tyre_series` in c from k on.
+
+    Beyond 1, with the arc tangent a of 1/x: sin(C (pi/2 - a)). Where no lane is, the same bits without a division.
+    """
+    a = abs(x)
+    if not any_lane(a > 1.0):
+        return x * _series(c, k, x * x)
+    far = a > 1.0
+    z = select(far, 1.0, a) / select(far, a, 1.0)
+    sin_z, cos_z = z * _series(c, k, z * z), _series(c, k + _TERMS, z * z)
+    return math.copysign(select(far, fma(c[k + 2 * _TERMS], cos_z, -c[k + 2 * _TERMS + 1] * sin_z), sin_z), x)
 
 
 @numba.njit(forceinline=True, **OPTIONS)

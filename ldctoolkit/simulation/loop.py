@@ -512,7 +512,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
 
         def work(first: int, last: int) -> None:
             most = int(steps[blocks[first] * LANES : (blocks[last - 1] + 1) * LANES].max())
-            work = entry.scratch(setting, table, lookaheads, most, int(scene[:, data.SUBSTEPS].max()))
+            work = entry.scratch(setting, table, lookaheads, most, float(scene[:, data.SUBSTEPS].max()))
             out = score, diverged, failed, work, np.zeros(most + 1, dtype=np.int64)
             inputs = scene, setting, table, times, bend, takeover.recorded_steering, paths, path_row
             entry.drive_any(*inputs, blocks[first:last], *out)

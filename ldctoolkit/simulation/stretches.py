@@ -43,14 +43,14 @@ class Stretch:
         self.threads = 1 if exact.size else threads  # an exact step takes less time than to start a thread
         self.blocks = np.arange(-(-(rows.stop - rows.start) // LANES))
         self.state = zeros(self.blocks.size, entry.table_rows(self.setting), LANES)
-        self.substeps = int(takeover.scene[rows, data.SUBSTEPS].max(initial=1))
+        self.substeps = float(takeover.scene[rows, data.SUBSTEPS].max(initial=1.0))
         entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
 
     def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
         """What the law sees: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle, driver's torque, and 1
         where the assist yields (m,).
         """
-        work = self.entry.sample_scratch(times.size, self.substeps)
+        work = self.entry.sample_scratch(self.setting, times.size, self.substeps)
         self.entry.look(self.setting, self.state, work, k, self.blocks, times, *(values[self.rows] for values in shown))
 
     def new_frame(self, k: int) -> FloatArray:
@@ -93,7 +93,10 @@ class Stretch:
 
     def sample(self, k: int, blocks: IntArray, command: FloatArray) -> None:
         """Sample k of some blocks."""
-        work, tables = self.entry.sample_scratch(0, self.substeps), (self.recorded, self.steering, self.paths)
+        work, tables = (
+            self.entry.sample_scratch(self.setting, 0, self.substeps),
+            (self.recorded, self.steering, self.paths),
+        )
         self.entry.go_on(self.exact, self.setting, self.state, work, *tables, k, blocks, command)
 
 
@@ -132,8 +135,8 @@ class ModelStretch(Stretch):
         assert takeover.setup.vehicle_model is not None
         self.equations = equations(takeover.setup.vehicle_model)
         self.model = self.equations.model
-        lanes = self.state[:, data.N_SUBSTEPS]
-        self.parts = lanes.max(axis=1, initial=1).astype(np.int64)
+        lanes = self.state[:, data.SUBSTEPS_A_SAMPLE]
+        self.parts = np.ceil(lanes.max(axis=1, initial=1.0) - 1e-9).astype(np.int64)
         self.own = np.zeros((self.blocks.size * LANES, takeover.states.shape[1]))
         self.own[: takeover.m], self.own[takeover.m :] = takeover.states, takeover.states[-1:]
         self.free: list[_Workspace] = []  # Each is used by one thread at a time

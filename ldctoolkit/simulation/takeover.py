@@ -469,7 +469,7 @@ def _scene(over: Takeover) -> FloatArray:
         data.DC: p.dc,
         data.DELTA_0: over.delta_0,
         data.SUBSTEPS: np.maximum(
-            np.ceil(setup.dt * np.maximum(np.maximum(lateral, yaw) / slowest / _REACH, 1.0 / data.LONGEST)),
+            setup.dt * np.maximum(np.maximum(lateral, yaw) / slowest / _REACH, 1.0 / data.LONGEST),
             data.column_steps(setup),
         ),
         data.C_AF: car.C_af,

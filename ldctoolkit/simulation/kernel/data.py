@@ -126,21 +126,19 @@ STEP_B, STEP_E_0, STEP_E_1, STEP_AREA_X, STEP_AREA_DELTA, STEP_AREA_R_0, STEP_AR
 CURVE_BIAS = next(_rows)  # [1/m] error of the previewed curvature
 MODES_USED = next(_rows)  # modes of the speed in the block, in every lane
 
-# Runge-Kutta steps: substeps of a segment, their length [s]; of the piece: its length so far, its start since that of
-# the departure [s], 1 where it ends
-N_SUBSTEPS, H, PIECE_TIME, PIECE_START, PIECE_ENDS = _next(5)
-# the road at the start, the middle and the end of a substep: v, dv/dt, 1/v, yaw rate of the lane
-V_START, DV_START, PER_V_START, LANE_START = _next(4)
-V_MID, DV_MID, PER_V_MID, LANE_MID = _next(4)
-V_END, DV_END, PER_V_END, LANE_END = _next(4)
-# a segment: its length [s], 1 before T, 1 after the delay, length of a substep [s]; decay of a lag over both lengths,
+# Runge-Kutta steps: least number of substeps a sample, not rounded, length of the present one [s]; of the piece: its
+# length so far, its start since that of the departure [s], 1 where it ends
+SUBSTEPS_A_SAMPLE, H, PIECE_TIME, PIECE_START, PIECE_ENDS = _next(5)
+V_Y, OMEGA = _next(2)  # lateral velocity of the vehicle in its own frame [m/s], and its yaw rate [rad/s]
+# a segment: its length [s], 1 before T, 1 after the delay, substeps, length of one [s]; decay of a lag over both lengths,
 # and the parabola of that over a substep, see `kernel.road`
-SEGMENT_LENGTH, SEGMENT_IN_T, SEGMENT_AFTER_DELAY, SUBSTEP_LENGTH = _next(4)
+SEGMENT_LENGTH, SEGMENT_IN_T, SEGMENT_AFTER_DELAY, N_SUBSTEPS, SUBSTEP_LENGTH = _next(5)
 LAG_SEGMENT, LAG_SUBSTEP, LAG_START, LAG_MID, LAG_END = _next(5)
 YOUNG_COMMAND, OLD_COMMAND = _next(2)  # [rad] limited command from the switch on, and before it
 # the steering angle along a segment: rate and duration of its ramp, where that starts, what then remains to the command
 RAMP_RATE, RAMP_TIME, RAMP_START, TO_COMMAND = _next(4)
 DELTA_START, DELTA_MID, DELTA_END = _next(3)  # [rad] steering angle of a substep as a parabola
+ROAD_V, ROAD_DV, ROAD_LANE = _next(3)  # speed, its rate and yaw rate of the lane at a moment
 SEGMENT_START, WHEEL_START = _next(2)  # [s] start of a segment; [rad] steering angle at the start of a sample
 SAVED, *_ = _next(SCORES)  # scores at the start of the segment
 
@@ -184,7 +182,7 @@ def _score(metric: str) -> int:
 # pieces of a sample on a vehicle model: what it is asked, and what follows from its answer
 ASK_AT_TRIGGER, AT_TRIGGER, ASK_COMMANDED, COMMANDED, ASK_STEP, STEPPED, ASK_CUT, AT_CUT, ASK_END, AT_END = range(10)
 QUESTION: Final = 17  # numbers that a model gets for a lane, see `kernel.model_loop`
-ROAD: Final = 4 * (9 + 4)  # the road of a sample for them: segments without their substeps
+ROAD: Final = 4 * 10  # the road of a sample for them: segments without their substeps
 
 AREA: Final = SCORE  # integral of |e_y| up to T
 DEEPEST: Final = _score("deepest")  # max of e_y up to T
@@ -218,6 +216,7 @@ ASSIST_STATE: Final = SCORE + SCORES - 1  # `AssistState`
     HELD, ARMS, RATIO, ASSIST_STIFFNESS, ASSIST_DAMPING, TORQUE_MAX, ARM_DAMPING, ARM_LAG, WHEEL_DAMPING, INERTIA,
     RETURN_DAMPING, OVERRIDE_TORQUE, OVERRIDE_TIME, RAMP, RETURN_AFTER, GRIP_STEPS,
 ) = range(49)  # fmt: skip
+TYRE: Final = 49  # then, for `tyre_force`, the numbers of `tyre_series`
 
 
 def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window: float) -> FloatArray:
@@ -280,7 +279,10 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         RETURN_AFTER: driver.return_after,
         GRIP_STEPS: 4,  # within a substep
     }
-    return np.array([values[n] for n in range(len(values))], dtype=np.float64)
+    from ldctoolkit.vector_math import tyre_series
+
+    row = np.array([values[n] for n in range(len(values))], dtype=np.float64)
+    return np.concatenate([row, tyre_series(setup.options.tyres.shape)])
 
 
 STRAIGHTENS_IN: Final = 0.2  # [s] of a driver after the end of the recorded path

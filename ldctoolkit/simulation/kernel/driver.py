@@ -25,7 +25,7 @@ from ldctoolkit.numba_internals import OPTIONS
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.kernel.actuator import parabola
 from ldctoolkit.simulation.kernel.block_table import ACTIVE, SAME, L
-from ldctoolkit.simulation.kernel.road import lay_time
+from ldctoolkit.simulation.kernel.road import motion_at
 from ldctoolkit.vector_math import arctan, cosine, decay, moments, sine
 
 _OVERRIDDEN: Final = float(AssistState.OVERRIDDEN)
@@ -90,16 +90,15 @@ def _angle_of_force(w, force, shape, slip):
 
 
 @numba.njit(**OPTIONS)
-def _steer_along(setting, w, t, dv, p, bend):
+def _steer_along(setting, w, t, v, dv, lane, p, bend):
     """Front force, steering angle and yaw acceleration with which the twin moves as recorded at times t.
 
-    The equations of `rk4_loop`, solved for the front force, from y' and y''; the road stands in the rows from `V_START`
-    on, dv is the rate of the speed before T.
+    The equations of `rk4_loop`, solved for the front force, from y' and y'' of the path, the speed, its rate before T
+    and the lane's yaw rate.
     """
     saturating, shape = setting[data.SATURATING] > 0.0, setting[data.SHAPE]
     psi, turn = w[data.TWIN_PSI], w[data.TWIN_TURN]
-    v, per_v, lane = w[data.V_START], w[data.PER_V_START], w[data.LANE_START]
-    dv = select(t < w[data.T], dv, 0.0)
+    per_v, dv = 1.0 / v, select(t < w[data.T], dv, 0.0)
     omega, delta, slip = turn + lane, w[data.TWIN_DELTA], w[data.TWIN_SLIP]
     if saturating:
         sin_psi, cos_psi = sine(psi), cosine(psi)
@@ -131,16 +130,16 @@ def lay_recorded(setting, w, motion, block, k, intended, to):
     """
     half, most, t = 0.5 * setting[data.DT], 1, w[data.T_0] + k * setting[data.DT]
     for l in range(L):
-        w[data.TWIN_STEPS, l] = math.ceil(max(w[data.N_SUBSTEPS, l], 1.0) * (1.0 / 6.0))
+        w[data.TWIN_STEPS, l] = math.ceil(math.ceil(max(w[data.SUBSTEPS_A_SAMPLE, l], 1.0) - SAME) * (1.0 / 6.0))
         most = max(most, int(w[data.TWIN_STEPS, l]))
     w[data.TWIN_H] = 1.0
     if k == 0:
         w[data.HOLD_RATE], w[data.TWIN_DELTA], w[data.TWIN_SLIP] = w[data.E_Y_RATE], w[data.WHEEL], 0.0
         w[data.TWIN_PSI], w[data.TWIN_TURN] = w[data.E_PSI], w[data.E_PSI_RATE]
-    dv = lay_time(setting, w, t)
+    v, dv, lane = motion_at(setting, w, t)
     rate, bend = _recorded_motion(setting, w, motion, block, t)
     for _ in range(4 if k == 0 else 0):
-        _steer_along(setting, w, t, dv, rate, bend)
+        _steer_along(setting, w, t, v, dv, lane, rate, bend)
     intended[to + 6] = bend
     for n in range(3):
         intended[to + n], intended[to + 3 + n] = w[data.TWIN_DELTA], w[data.TWIN_FRONT]
@@ -156,7 +155,7 @@ def _twin_step(setting, w, motion, block, since, j):
     w[data.TWIN_H] = h
     psi_before, turn_before = w[data.TWIN_PSI], w[data.TWIN_TURN]
     psi_after, turn_after = psi_before, turn_before
-    t, dv, rate, bend = h, h, h, h
+    v, dv, lane, rate, bend = h, h, h, h, h
     for stage in range(4):
         weight, reach = (1.0 / 6.0) if stage % 3 == 0 else (1.0 / 3.0), 0.5 if stage < 2 else 1.0
         turn, yaw = w[data.TWIN_TURN], w[data.TWIN_YAW]
@@ -166,9 +165,9 @@ def _twin_step(setting, w, motion, block, since, j):
             w[data.TWIN_PSI], w[data.TWIN_TURN] = psi_after, turn_after
         t = w[data.T_0] + (since + min(fma(h, reach, j * h), half)) + select(h == 0.0, half, 0.0)
         if stage % 2 == 0:
-            dv = lay_time(setting, w, t)
+            v, dv, lane = motion_at(setting, w, t)
             rate, bend = _recorded_motion(setting, w, motion, block, t)
-        _steer_along(setting, w, t, dv, rate, bend)
+        _steer_along(setting, w, t, v, dv, lane, rate, bend)
 
 
 # ------------------------------------------------------------------------------------------------ what he means
@@ -287,17 +286,29 @@ def lay(setting, w):
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def column(w, s, angle, rate, align, k_a, b_a, b_d, b_w, limit, per_inertia):
+def column(setting, w, s, angle, rate, align):
     """Acceleration of the column, and both torques, at the time s of a substep with this aligning torque."""
+    k_a, b_a, limit = setting[data.ASSIST_STIFFNESS], setting[data.ASSIST_DAMPING], setting[data.TORQUE_MAX]
     meant = fma(s, fma(s, w[data.MEANT_2], w[data.MEANT_1]), w[data.MEANT_0])
     meant_rate = fma(2.0 * s, w[data.MEANT_2], w[data.MEANT_1])
     reference = fma(s, fma(s, w[data.REF_2], w[data.REF_1]), w[data.REF_0])
     feed = fma(s, fma(s, w[data.FEED_2], w[data.FEED_1]), w[data.FEED_0])
     tense, authority = fma(s, w[data.TENSE_1], w[data.TENSE_0]), fma(s, w[data.AUTH_1], w[data.AUTH_0])
     assist = authority * min(max(fma(k_a, reference - angle, fma(-b_a, rate, align)), -limit), limit)
-    arms = tense * fma(w[data.STRENGTH], meant - angle, b_d * (meant_rate - rate))
+    arms = tense * fma(w[data.STRENGTH], meant - angle, setting[data.ARM_DAMPING] * (meant_rate - rate))
     torque = fma(1.0 - authority, feed, arms)
-    return (assist + torque - align - b_w * rate) * per_inertia, assist, torque
+    acceleration = (assist + torque - align - setting[data.WHEEL_DAMPING] * rate) / setting[data.INERTIA]
+    return acceleration, assist, torque
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def end_step(setting, w, h, before, assist_before, middle, angle_before, angle, rate, align):
+    """Column and wheels at the end of a substep, with the driver's torque before it and in its middle; their scores."""
+    _, assist, torque = column(setting, w, h, angle, rate, align)
+    mean, per_ratio = (1.0 / 6.0) * (abs(before) + 4.0 * abs(middle) + abs(torque)), 1.0 / setting[data.RATIO]
+    wheel_before, wheel = angle_before * per_ratio, angle * per_ratio
+    score(w, h, before, assist_before, torque, assist, middle, mean, wheel_before, wheel)
+    w[data.COLUMN], w[data.COLUMN_RATE], w[data.WHEEL] = angle, rate, wheel
 
 
 @numba.njit(forceinline=True, **OPTIONS)

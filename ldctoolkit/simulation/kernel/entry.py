@@ -6,6 +6,7 @@ see `ldctoolkit.numba_internals`.
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call, call-arg"
 
+import math
 from typing import Any
 
 import numba
@@ -30,7 +31,7 @@ from ldctoolkit.simulation.kernel import (
     sight,
 )
 from ldctoolkit.simulation.kernel.data import ALIVE, COMMAND, SEEN_E_Y, WHEEL_SEEN
-from ldctoolkit.simulation.kernel.road import lay_road, segment_size, substeps_of
+from ldctoolkit.simulation.kernel.road import HEADER, POINT, lay_road
 
 _SOURCES = (
     lanes,
@@ -108,11 +109,10 @@ def _entries(version: int) -> Any:
             if exact.shape[1]:
                 exact_loop.advance(exact, setting, w, k, 0.0, block * LANES, bend, 0, paths)
             else:
-                parts = substeps_of(w)
-                end = lay_road(setting, k, w, parts, road, 0)
+                end = lay_road(setting, k, w, True, road, 0)
                 if setting[data.HELD] > 0.0:
                     driver.lay_recorded(setting, w, motion, block, k, intended, 0)
-                rk4_loop.advance(setting, w, k, parts, road, 0, end, bend, 0, intended, 0, paths)
+                rk4_loop.advance(setting, w, k, road, 0, end, bend, 0, intended, 0, paths)
 
     @numba.njit(cache=True, **OPTIONS)
     def drive_any(
@@ -146,7 +146,12 @@ def _entries(version: int) -> Any:
         if version < 0:
             return
         scene, exact, setting, law = uncounted(scene), uncounted(exact), uncounted(setting), uncounted(law)
-        times, recorded, paths, path_rows = uncounted(times), uncounted(recorded), uncounted(paths), uncounted(path_rows)
+        times, recorded, paths, path_rows = (
+            uncounted(times),
+            uncounted(recorded),
+            uncounted(paths),
+            uncounted(path_rows),
+        )
         score, diverged, failed = uncounted(score), uncounted(diverged), uncounted(failed)
         w = table(work)
         lane_weights = below(w, block_table.rings(setting)[3])
@@ -191,18 +196,24 @@ def table_rows(setting: FloatArray) -> int:
     return int(block_table.rings.py_func(setting)[3])  # plain Python: compiling it for one call would take a second
 
 
-def scratch(setting: FloatArray, law: FloatArray, lookaheads: int, most: int, substeps: int = 0) -> FloatArray:
+def scratch(setting: FloatArray, law: FloatArray, lookaheads: int, most: int, substeps: float = 0.0) -> FloatArray:
     """Scratch of one call of `drive_lanes`, or with substeps of `drive_any`, over at most so many samples.
 
     The caller keeps it: what a compiled function makes is freed after its last use there, a table is no use.
     """
     rows = table_rows(setting) + law.shape[2] + data.A_Y_START + 4 * most
     if substeps:
-        segments = (2 if setting[data.DELAY_PART] else 1) * most + 2 * LANES
-        rows += most * (3 + 2 * lookaheads + 7) + segments * segment_size.py_func(substeps)
+        rows += most * (3 + 2 * lookaheads + 7) + _road_rows(setting, most, substeps)
     return zeros(rows, LANES)
 
 
-def sample_scratch(lookaheads: int, substeps: int) -> FloatArray:
+def sample_scratch(setting: FloatArray, lookaheads: int, substeps: float) -> FloatArray:
     """Scratch of one call of `look` or `go_on`."""
-    return zeros(max(3 + 2 * lookaheads, 11 + 3 * segment_size.py_func(substeps)), LANES)
+    return zeros(max(3 + 2 * lookaheads, 11 + _road_rows(setting, 1, substeps)), LANES)
+
+
+def _road_rows(setting: FloatArray, samples: int, substeps: float) -> int:
+    """Rows of the road of so many samples, of which each lane cuts one by its T and one by its end."""
+    segments = (2 if setting[data.DELAY_PART] else 1) * samples + min(samples, LANES) * (1 + 1)
+    # each segment may have a substep more than its share
+    return segments * (HEADER + 3 * POINT) + math.ceil(substeps + 1.0) * samples * 2 * POINT + segments * 2 * POINT

@@ -6,10 +6,9 @@ step, then speed, its rate, yaw rate of the lane and wheel angle at the start, t
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
-from typing import Final
-
 import numba
 
+from ldctoolkit.lanes import largest, select
 from ldctoolkit.numba_internals import OPTIONS
 from ldctoolkit.simulation.kernel import block_table, data
 from ldctoolkit.simulation.kernel.block_table import L
@@ -24,54 +23,44 @@ from ldctoolkit.simulation.kernel.rk4_loop import (
     end_segment,
     settle,
 )
-from ldctoolkit.simulation.kernel.road import HEADER, lay_point, lay_road, substeps_of
-
-_WHOLE: Final = 1e9  # Substeps after which any segment has ended
+from ldctoolkit.simulation.kernel.road import IN_T, lay_road, motion_at
 
 
 @numba.njit(**OPTIONS)
-def _moment(w, e, first, column, delta):
-    """The road in the rows from `V_START` on and the wheel angle of a row, into four columns of `e`."""
+def _moment(setting, w, t, in_T, e, first, column, delta):
+    """The road at times t, up to T, and the wheel angle of a row, into four columns of `e`."""
+    v, dv, lane = motion_at(setting, w, t)
+    w[data.ROAD_V], w[data.ROAD_DV], w[data.ROAD_LANE] = v, dv * in_T, lane
     for l in range(L):
-        e[first + l, column], e[first + l, column + 1] = w[data.V_START, l], w[data.DV_START, l]
-        e[first + l, column + 2], e[first + l, column + 3] = w[data.LANE_START, l], w[delta, l]
-
-
-@numba.njit(**OPTIONS)
-def _state(w, e, first):
-    for l in range(L):
-        for n in range(4):
-            e[first + l, n] = w[data.NEXT_E_Y + n, l]
-        e[first + l, 4] = w[data.H, l]
+        e[first + l, column], e[first + l, column + 1] = w[data.ROAD_V, l], w[data.ROAD_DV, l]
+        e[first + l, column + 2], e[first + l, column + 3] = w[data.ROAD_LANE, l], w[delta, l]
 
 
 @numba.njit(**OPTIONS)
 def ask(phase, setting, w, road, k, j, segment, ramps, e, first):
     """A question about the lanes of a block; whether the wheels ramp in this segment."""
     if phase == data.ASK_AT_TRIGGER:
-        lay_point(setting, w, 0.0)
-        _moment(w, e, first, 5, data.WHEEL)
+        _moment(setting, w, w[data.T_0], select(w[data.T] > w[data.T_0], 1.0, 0.0), e, first, 5, data.WHEEL)
     elif phase == data.ASK_COMMANDED:
         begin_sample(setting, w, k)
-        for n in range(4):
-            w[data.V_START + n] = road[HEADER + n]
-        _moment(w, e, first, 5, data.DELTA_START)
+        _moment(setting, w, w[data.PIECE_START], road[IN_T], e, first, 5, data.DELTA_START)
     elif phase == data.ASK_STEP:
         if j == 0:
             ramps = begin_segment(setting, w, road, segment)
         begin_substep(setting, w, j, ramps)
         for n in range(3):
-            lay_point(setting, w, j + 0.5 * n)
-            _moment(w, e, first, 5 + 4 * n, data.DELTA_START + n)
+            within = min((j + 0.5 * n) * w[data.SUBSTEP_LENGTH], w[data.SEGMENT_LENGTH])
+            t = w[data.SEGMENT_START] + within
+            _moment(setting, w, t, w[data.SEGMENT_IN_T], e, first, 5 + 4 * n, data.DELTA_START + n)
     elif phase == data.ASK_CUT:
-        for n in range(4):
-            w[data.V_START + n] = road[segment + HEADER + n]
-        _moment(w, e, first, 5, data.WHEEL)
+        _moment(setting, w, w[data.PIECE_START], road[segment + IN_T], e, first, 5, data.WHEEL)
     elif phase == data.ASK_END:
         settle(setting, w)
-        lay_point(setting, w, _WHOLE)
-        _moment(w, e, first, 5, data.WHEEL)
-    _state(w, e, first)
+        _moment(setting, w, w[data.PIECE_START], w[data.SEGMENT_IN_T], e, first, 5, data.WHEEL)
+    for l in range(L):
+        for n in range(4):
+            e[first + l, n] = w[data.NEXT_E_Y + n, l]
+        e[first + l, 4] = w[data.H, l]
     return ramps
 
 
@@ -100,7 +89,7 @@ def take(phase, setting, w, road, k, j, segment, paths, e, result, first):
                 w[data.PIECE_AREA, l] += result[first + l, 4]
                 w[data.PIECE_TIME, l] += w[data.H, l]
         end_piece(setting, w, k)
-        if j + 1 == substeps_of(w):
+        if j + 1 == largest(w[data.N_SUBSTEPS]):
             end_segment(setting, w)
     elif phase == data.AT_CUT:
         _take_a_y(w, e, result, first, data.A_Y_START_PAST)
@@ -116,4 +105,4 @@ def begin(setting, recorded, block, w, k, command, road):
     for l in range(min(L, command.shape[0] - block * L)):
         w[data.COMMAND, l] = command[block * L + l] if w[data.ALIVE, l] > 0.0 else 0.0
     block_table.lay_bend(setting, recorded, block, k, w, w, data.BEND_START)
-    return lay_road(setting, k, w, 0, road, 0)
+    return lay_road(setting, k, w, False, road, 0)

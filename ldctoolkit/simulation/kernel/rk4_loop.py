@@ -18,12 +18,12 @@ from typing import Final
 
 import numba
 
-from ldctoolkit.lanes import any_lane, fma, select
+from ldctoolkit.lanes import any_lane, fma, largest, select, smallest
 from ldctoolkit.numba_internals import OPTIONS
 from ldctoolkit.simulation.kernel import actuator, block_table, data, driver, sight
 from ldctoolkit.simulation.kernel.block_table import L, rings
-from ldctoolkit.simulation.kernel.road import HEADER, POINT_SIZE, lay_point, lay_road, segment_size, substeps_of
-from ldctoolkit.vector_math import arctan, cosine, sine, touches
+from ldctoolkit.simulation.kernel.road import HEADER, IN_T, POINT, lay_road, motion_at
+from ldctoolkit.vector_math import NEAR, arctan, arctan_near, cosine, sine_and_cosine, touches, tyre_force
 from ldctoolkit.vehicle.bicycle import GRAVITY
 
 _SPUN: Final = 1.5
@@ -34,162 +34,138 @@ _SPUN: Final = 1.5
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _linear(w, p, psi, turn, v, dv, per_v, lane, delta, shape):  # noqa: ARG001
-    """e_y'' and e_psi'' on linear tyres, a_y relative to the lane, without v r, and the front force over the mass.
+def _linear_forces(setting, w, v_y, omega, v, per_v, lane, delta):  # noqa: ARG001
+    """a_y and yaw acceleration on linear tyres, and the front force over the mass.
 
-    With w = de_y/dt - v e_psi and omega = de_psi/dt + r (Rajamani's eq. 2.45; dv/dt e_psi where the speed changes),
+    With the lateral velocity v_y of the vehicle in its own frame and its yaw rate omega (Rajamani's eq. 2.45),
 
-        F_f/m = (2 C_af/m) (delta - (w + l_f omega)/v),    F_r/m = (2 C_ar/m) (l_r omega - w)/v,
-        e_y''   = F_f/m + F_r/m - v r + dv/dt e_psi,       e_psi'' = (l_f F_f - l_r F_r)/I_z;
+        F_f/m = (2 C_af/m) (delta - (v_y + l_f omega)/v),    F_r/m = (2 C_ar/m) (l_r omega - v_y)/v,
+        a_y = F_f/m + F_r/m,    domega/dt = (l_f F_f - l_r F_r)/I_z;
 
-    the printed matrix takes `PRINTED_TERM` de_psi/dt/v from e_y''.
+    the printed matrix takes `PRINTED_TERM` de_psi/dt/v from a_y.
     """
-    across, omega = fma(-v, psi, p), turn + lane
-    front = w[data.STIFFNESS_F] * fma(-per_v, fma(w[data.AXLE_F], omega, across), delta)
-    rear = w[data.STIFFNESS_R] * (per_v * fma(w[data.AXLE_R], omega, -across))
-    relative = fma(-v, lane, fma(-w[data.PRINTED_TERM] * turn, per_v, front + rear))
-    return fma(dv, psi, relative), fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), relative, front
+    front = w[data.STIFFNESS_F] * fma(-per_v, fma(w[data.AXLE_F], omega, v_y), delta)
+    rear = w[data.STIFFNESS_R] * (per_v * fma(w[data.AXLE_R], omega, -v_y))
+    a_y = fma(w[data.PRINTED_TERM] * (lane - omega), per_v, front + rear)
+    return a_y, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), front
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _saturating(w, p, psi, turn, v, dv, per_v, lane, delta, shape):
+def _saturating_forces(setting, w, v_y, omega, v, per_v, lane, delta):  # noqa: ARG001
     """The same on tyres that saturate (Pacejka's Magic Formula), for large angles.
 
-    With v_y = (de_y/dt - v sin e_psi)/cos e_psi and the slips a_f = delta - atan((v_y + l_f omega)/v), a_r =
-    atan((l_r omega - v_y)/v),
+    With the slips a_f = delta - atan((v_y + l_f omega)/v), a_r = atan((l_r omega - v_y)/v),
 
-        F_i/m = (D_i/m) sin(C atan(B_i a_i)),    a_y = F_f/m cos delta + F_r/m,    B_i = 2 C_ai/(C D_i),
-        e_y'' = dv/dt sin e_psi + de_psi/dt (v cos e_psi - v_y sin e_psi) + (a_y - v omega) cos e_psi.
+        F_i/m = (D_i/m) sin(C atan(B_i a_i)),    a_y = F_f/m cos delta + F_r/m,    B_i = 2 C_ai/(C D_i).
     """
-    sin_psi, cos_psi, omega = sine(psi), cosine(psi), turn + lane
-    across = fma(-v, sin_psi, p) / cos_psi
-    slip_front = delta - arctan(fma(w[data.AXLE_F], omega, across) * per_v)
-    slip_rear = arctan(fma(w[data.AXLE_R], omega, -across) * per_v)
-    front = w[data.GRIP_F] * sine(shape * arctan(w[data.STIFFNESS_F] * slip_front)) * cosine(delta)
-    rear = w[data.GRIP_R] * sine(shape * arctan(w[data.STIFFNESS_R] * slip_rear))
-    a_y = front + rear
-    lateral = fma(dv, sin_psi, turn * fma(v, cos_psi, -across * sin_psi)) + fma(-v, omega, a_y) * cos_psi
-    return lateral, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), fma(-v, lane, a_y), front
+    across_front, across_rear = fma(w[data.AXLE_F], omega, v_y) * per_v, fma(w[data.AXLE_R], omega, -v_y) * per_v
+    if any_lane(max(abs(across_front), abs(across_rear)) > NEAR):
+        across_front, across_rear = arctan(across_front), arctan(across_rear)
+    else:  # the same bits without a division
+        across_front, across_rear = arctan_near(across_front), arctan_near(across_rear)
+    front = w[data.GRIP_F] * tyre_force(setting, data.TYRE, w[data.STIFFNESS_F] * (delta - across_front))
+    rear = w[data.GRIP_R] * tyre_force(setting, data.TYRE, w[data.STIFFNESS_R] * across_rear)
+    front *= cosine(delta)
+    return front + rear, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), front
 
 
-def _with_tyres(slopes):
-    """A substep of the Runge-Kutta method, and the accelerations at a point, for `_linear` or `_saturating`.
+@numba.njit(forceinline=True, **OPTIONS)
+def _linear_rate(v, v_y, psi):
+    return fma(v, psi, v_y)
 
-    They are inlined where they are called: as functions, those of both tyres would have one name for the linker, which
-    takes the first that it meets where entries were compiled by different processes.
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _rate(v, v_y, psi):
+    sine, cosine = sine_and_cosine(psi)
+    return fma(v, sine, v_y * cosine)
+
+
+def _plant(forces, rate, held):
+    """A substep of the Runge-Kutta method for these forces and this de_y/dt, without or with the arms of a driver.
+
+    Plants are inlined where they are called: as functions, all would have one name for the linker, which takes the
+    first that it meets where entries were compiled by different processes.
     """
 
     @numba.njit(forceinline=True, **OPTIONS)
-    def substep(w, road, point, shape):
-        """One step of the state in the rows from `NEXT_E_Y` on, in place.
+    def substep(setting, w, road, point):
+        """One step of the state, in place.
 
         k_1 = f(t, x), k_2 = f(t + h/2, x + h/2 k_1), k_3 = f(t + h/2, x + h/2 k_2), k_4 = f(t + h, x + h k_3),
-        x+ = x + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4).
+        x+ = x + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4) for x = (v_y, omega, e_psi) and the column, with
+
+            dv_y/dt = a_y - v omega,    de_psi/dt = omega - r,    de_y/dt = v sin e_psi + v_y cos e_psi.
+
+        e_y feeds back into nothing: it follows by Simpson's rule, with the state in the middle from the same stages.
         """
-        for n in range(12):
-            w[data.V_START + n] = road[point + n]
-        h = w[data.H]
-        half, sixth = 0.5 * h, h * (1.0 / 6.0)
-        y, p, psi = w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE], w[data.NEXT_E_PSI]
-        turn = w[data.NEXT_E_PSI_RATE]
-        v, dv, per_v = w[data.V_START], w[data.DV_START], w[data.PER_V_START]
-        lane, delta = w[data.LANE_START], w[data.DELTA_START]
-        a_1, b_1, _, _ = slopes(w, p, psi, turn, v, dv, per_v, lane, delta, shape)
-        v, dv, per_v = w[data.V_MID], w[data.DV_MID], w[data.PER_V_MID]
-        lane, delta = w[data.LANE_MID], w[data.DELTA_MID]
-        p_2, psi_2, turn_2 = fma(half, a_1, p), fma(half, turn, psi), fma(half, b_1, turn)
-        a_2, b_2, _, _ = slopes(w, p_2, psi_2, turn_2, v, dv, per_v, lane, delta, shape)
-        p_3, psi_3, turn_3 = fma(half, a_2, p), fma(half, turn_2, psi), fma(half, b_2, turn)
-        a_3, b_3, _, _ = slopes(w, p_3, psi_3, turn_3, v, dv, per_v, lane, delta, shape)
-        v, dv, per_v = w[data.V_END], w[data.DV_END], w[data.PER_V_END]
-        lane, delta = w[data.LANE_END], w[data.DELTA_END]
-        p_4, psi_4, turn_4 = fma(h, a_3, p), fma(h, turn_3, psi), fma(h, b_3, turn)
-        a_4, b_4, _, _ = slopes(w, p_4, psi_4, turn_4, v, dv, per_v, lane, delta, shape)
-        # e_y feeds back into nothing: its values at the stages follow from its rates there
-        w[data.PIECE_AREA] = fma(h, fma(sixth, p + p_2 + p_3, y), w[data.PIECE_AREA])
-        w[data.NEXT_E_Y] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
-        w[data.NEXT_E_Y_RATE] = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), p)
-        w[data.NEXT_E_PSI] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
-        w[data.NEXT_E_PSI_RATE] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
+        h, y, rate_0, psi = w[data.H], w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE], w[data.NEXT_E_PSI]
+        v_y, omega, half, sixth = w[data.V_Y], w[data.OMEGA], 0.5 * h, h * (1.0 / 6.0)
+        v_0, per_v_0, lane_0 = road[point], road[point + 1], road[point + 2]
+        v_1, per_v_1, lane_1 = road[point + 3], road[point + 4], road[point + 5]
+        v_2, per_v_2, lane_2 = road[point + 6], road[point + 7], road[point + 8]
+        delta_1, delta_2, delta_4 = w[data.DELTA_START], w[data.DELTA_MID], w[data.DELTA_END]
+        delta_3 = delta_2
+        if held:
+            trail, per_ratio = w[data.TRAIL_TORQUE], 1.0 / setting[data.RATIO]
+            angle, speed = w[data.COLUMN], w[data.COLUMN_RATE]
+            delta_1 = angle * per_ratio
+        a_1, b_1, force = forces(setting, w, v_y, omega, v_0, per_v_0, lane_0, delta_1)
+        a_1 = fma(-v_0, omega, a_1)
+        v_y_2, omega_2 = fma(half, a_1, v_y), fma(half, b_1, omega)
+        if held:
+            c_1, assist_before, before = driver.column(setting, w, 0.0, angle, speed, trail * force)
+            angle_2, speed_2 = fma(half, speed, angle), fma(half, c_1, speed)
+            delta_2 = angle_2 * per_ratio
+        a_2, b_2, force = forces(setting, w, v_y_2, omega_2, v_1, per_v_1, lane_1, delta_2)
+        a_2 = fma(-v_1, omega_2, a_2)
+        v_y_3, omega_3 = fma(half, a_2, v_y), fma(half, b_2, omega)
+        if held:
+            c_2, _, _ = driver.column(setting, w, half, angle_2, speed_2, trail * force)
+            angle_3, speed_3 = fma(half, speed_2, angle), fma(half, c_2, speed)
+            delta_3 = angle_3 * per_ratio
+        a_3, b_3, force = forces(setting, w, v_y_3, omega_3, v_1, per_v_1, lane_1, delta_3)
+        a_3 = fma(-v_1, omega_3, a_3)
+        v_y_4, omega_4 = fma(h, a_3, v_y), fma(h, b_3, omega)
+        if held:
+            c_3, _, middle = driver.column(setting, w, half, angle_3, speed_3, trail * force)
+            angle_4, speed_4 = fma(h, speed_3, angle), fma(h, c_3, speed)
+            delta_4 = angle_4 * per_ratio
+        a_4, b_4, force = forces(setting, w, v_y_4, omega_4, v_2, per_v_2, lane_2, delta_4)
+        a_4 = fma(-v_2, omega_4, a_4)
+        if held:
+            c_4, _, _ = driver.column(setting, w, h, angle_4, speed_4, trail * force)
+            end = fma(sixth, fma(2.0, speed_2 + speed_3, speed + speed_4), angle)
+            speed = fma(sixth, fma(2.0, c_2 + c_3, c_1 + c_4), speed)
+            driver.end_step(setting, w, h, before, assist_before, middle, angle, end, speed, trail * force)
+        turn, turn_mid, turn_4 = omega - lane_0, omega_2 + omega_3 - 2.0 * lane_1, omega_4 - lane_2
+        psi_mid = fma(h, fma(1.0 / 6.0, turn_mid, fma(5.0 / 24.0, turn, (-1.0 / 24.0) * turn_4)), psi)
+        v_y_mid = fma(h, fma(1.0 / 6.0, a_2 + a_3, fma(5.0 / 24.0, a_1, (-1.0 / 24.0) * a_4)), v_y)
+        psi = fma(sixth, fma(2.0, turn_mid, turn + turn_4), psi)
+        v_y = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), v_y)
+        omega = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), omega)
+        rate_1, rate_2, moves = rate(v_1, v_y_mid, psi_mid), rate(v_2, v_y, psi), h > 0.0
+        w[data.PIECE_AREA] = fma(h, fma(sixth, fma(2.0, rate_1, rate_0), y), w[data.PIECE_AREA])
+        w[data.NEXT_E_Y] = fma(sixth, fma(4.0, rate_1, rate_0 + rate_2), y)
+        w[data.NEXT_E_Y_RATE] = select(moves, rate_2, rate_0)
+        w[data.NEXT_E_PSI], w[data.V_Y], w[data.OMEGA] = psi, v_y, omega
+        w[data.NEXT_E_PSI_RATE] = select(moves, omega - lane_2, w[data.NEXT_E_PSI_RATE])
         w[data.PIECE_TIME] += h
 
-    @numba.njit(forceinline=True, **OPTIONS)
-    def held_substep(setting, w, road, point, shape):
-        """The same with the arms of a driver: the column's angle and rate are two more states, see `kernel.driver`."""
-        k_a, b_a, limit = setting[data.ASSIST_STIFFNESS], setting[data.ASSIST_DAMPING], setting[data.TORQUE_MAX]
-        b_d, b_w = setting[data.ARM_DAMPING], setting[data.WHEEL_DAMPING]
-        per_inertia, per_ratio = 1.0 / setting[data.INERTIA], 1.0 / setting[data.RATIO]
-        for n in range(12):
-            w[data.V_START + n] = road[point + n]
-        h, trail = w[data.H], w[data.TRAIL_TORQUE]
-        half, sixth = 0.5 * h, h * (1.0 / 6.0)
-        y, p, psi = w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE], w[data.NEXT_E_PSI]
-        turn, angle, rate = w[data.NEXT_E_PSI_RATE], w[data.COLUMN], w[data.COLUMN_RATE]
-        v, dv, per_v = w[data.V_START], w[data.DV_START], w[data.PER_V_START]
-        a_1, b_1, _, force = slopes(
-            w, p, psi, turn, v, dv, per_v, w[data.LANE_START], angle * per_ratio, shape
-        )
-        c_1, before_assist, before = driver.column(
-            w, 0.0, angle, rate, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
-        )
-        v, dv, per_v, lane = w[data.V_MID], w[data.DV_MID], w[data.PER_V_MID], w[data.LANE_MID]
-        p_2, psi_2, turn_2 = fma(half, a_1, p), fma(half, turn, psi), fma(half, b_1, turn)
-        angle_2, rate_2 = fma(half, rate, angle), fma(half, c_1, rate)
-        a_2, b_2, _, force = slopes(w, p_2, psi_2, turn_2, v, dv, per_v, lane, angle_2 * per_ratio, shape)
-        c_2, _, _ = driver.column(
-            w, half, angle_2, rate_2, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
-        )
-        p_3, psi_3, turn_3 = fma(half, a_2, p), fma(half, turn_2, psi), fma(half, b_2, turn)
-        angle_3, rate_3 = fma(half, rate_2, angle), fma(half, c_2, rate)
-        a_3, b_3, _, force = slopes(w, p_3, psi_3, turn_3, v, dv, per_v, lane, angle_3 * per_ratio, shape)
-        c_3, _, middle = driver.column(
-            w, half, angle_3, rate_3, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia
-        )
-        v, dv, per_v, lane = w[data.V_END], w[data.DV_END], w[data.PER_V_END], w[data.LANE_END]
-        p_4, psi_4, turn_4 = fma(h, a_3, p), fma(h, turn_3, psi), fma(h, b_3, turn)
-        angle_4, rate_4 = fma(h, rate_3, angle), fma(h, c_3, rate)
-        a_4, b_4, _, force = slopes(w, p_4, psi_4, turn_4, v, dv, per_v, lane, angle_4 * per_ratio, shape)
-        c_4, _, _ = driver.column(w, h, angle_4, rate_4, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia)
-        w[data.PIECE_AREA] = fma(h, fma(sixth, p + p_2 + p_3, y), w[data.PIECE_AREA])
-        w[data.NEXT_E_Y] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
-        w[data.NEXT_E_Y_RATE] = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), p)
-        w[data.NEXT_E_PSI] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
-        w[data.NEXT_E_PSI_RATE] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
-        w[data.PIECE_TIME] += h
-        end = fma(sixth, fma(2.0, rate_2 + rate_3, rate + rate_4), angle)
-        rate = fma(sixth, fma(2.0, c_2 + c_3, c_1 + c_4), rate)
-        _, assist, torque = driver.column(w, h, end, rate, trail * force, k_a, b_a, b_d, b_w, limit, per_inertia)
-        mean = (1.0 / 6.0) * (abs(before) + 4.0 * abs(middle) + abs(torque))
-        driver.score(
-            w, h, before, before_assist, torque, assist, middle, mean, angle * per_ratio, end * per_ratio
-        )
-        w[data.COLUMN], w[data.COLUMN_RATE], w[data.WHEEL] = end, rate, end * per_ratio
-
-    @numba.njit(forceinline=True, **OPTIONS)
-    def accelerations(w, road, point, delta, to, shape):
-        """a_y at a point of the road with the steering angle in row `delta`; relative to the road two rows further."""
-        for n in range(4):
-            w[data.V_START + n] = road[point + n]
-        p, psi, turn = w[data.NEXT_E_Y_RATE], w[data.NEXT_E_PSI], w[data.NEXT_E_PSI_RATE]
-        v, dv, per_v, lane = (
-            w[data.V_START], w[data.DV_START], w[data.PER_V_START], w[data.LANE_START],
-        )  # fmt: skip
-        _, _, relative, _ = slopes(w, p, psi, turn, v, dv, per_v, lane, w[delta], shape)
-        w[to], w[to + 2] = fma(v, lane, relative), relative
-
-    return substep, held_substep, accelerations
+    return substep
 
 
-_linear_substep, _linear_held, _linear_accelerations = _with_tyres(_linear)
-_saturating_substep, _saturating_held, _saturating_accelerations = _with_tyres(_saturating)
+_linear, _linear_held = (_plant(_linear_forces, _linear_rate, held) for held in (False, True))
+_saturating, _saturating_held = (_plant(_saturating_forces, _rate, held) for held in (False, True))
 
 
 @numba.njit(**OPTIONS)
-def _accelerations(setting, w, road, point, delta, to):
+def _accelerations(setting, w, v, per_v, lane, delta, to):
+    """a_y on the road at a moment, with the steering angle; relative to the road two rows further."""
     if setting[data.SATURATING] > 0.0:
-        _saturating_accelerations(w, road, point, delta, to, setting[data.SHAPE])
+        a_y, _, _ = _saturating_forces(setting, w, w[data.V_Y], w[data.OMEGA], v, per_v, lane, delta)
     else:
-        _linear_accelerations(w, road, point, delta, to, 0.0)
+        a_y, _, _ = _linear_forces(setting, w, w[data.V_Y], w[data.OMEGA], v, per_v, lane, delta)
+    w[to], w[to + 2] = a_y, fma(-v, lane, a_y)
 
 
 # ------------------------------------------------------------------------------------------------ scores
@@ -273,7 +249,7 @@ def correct_paths(w, paths):
 @numba.njit(**OPTIONS)
 def begin_segment(setting, w, road, segment):
     """Lengths, command and wheel angle of a segment; True if the wheels ramp in a lane."""
-    for n in range(9):
+    for n in range(HEADER):
         w[data.SEGMENT_LENGTH + n] = road[segment + n]
     w[data.SEGMENT_START] = w[data.PIECE_START]
     alive, young, old = w[data.ALIVE], w[data.YOUNG_COMMAND], w[data.OLD_COMMAND]
@@ -339,49 +315,50 @@ def end_segment(setting, w):
 
 
 @numba.njit(**OPTIONS)
-def _drive_segment(setting, w, k, parts, road, segment):
+def _drive_segment(setting, w, k, road, segment):
     """All lanes over a segment."""
-    ramps, least = begin_segment(setting, w, road, segment), parts
-    for l in range(L):
-        least = min(least, int(w[data.N_SUBSTEPS, l]))
-    for j in range(parts):
+    ramps, substeps, point = begin_segment(setting, w, road, segment), w[data.N_SUBSTEPS], segment + HEADER
+    least, most = int(smallest(substeps)), int(largest(substeps))
+    for j in range(most):
         begin_substep(setting, w, j, ramps)
-        point, shape = segment + HEADER + 2 * j * POINT_SIZE, setting[data.SHAPE]
         if setting[data.ARMS] > 0.0:
             if setting[data.SATURATING] > 0.0:
-                _saturating_held(setting, w, road, point, shape)
+                _saturating_held(setting, w, road, point)
             else:
-                _linear_held(setting, w, road, point, 0.0)
+                _linear_held(setting, w, road, point)
         elif setting[data.SATURATING] > 0.0:
-            _saturating_substep(w, road, point, shape)
+            _saturating(setting, w, road, point)
         else:
-            _linear_substep(w, road, point, 0.0)
+            _linear(setting, w, road, point)
+        point += 2 * POINT
         if j + 1 >= least or (j + 1) % data.PIECE == 0:
             end_piece(setting, w, k)
     end_segment(setting, w)
+    return point  # of the segment's end
 
 
 @numba.njit(**OPTIONS)
-def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, intended, intended_offset, paths):
+def advance(setting, w, k, road, segment, end, bend, bend_row, intended, intended_row, paths):
     """Sample k with the command in `COMMAND`: segments of the road from `segment` to `end`. Lanes that go on after."""
-    size = segment_size(parts)
     begin_sample(setting, w, k)
     if setting[data.HELD] > 0.0:
-        driver.begin_sample(setting, w, k, intended, intended_offset)
-    _accelerations(setting, w, road, segment + HEADER, data.DELTA_START, data.A_Y_START)
+        driver.begin_sample(setting, w, k, intended, intended_row)
+    point = segment + HEADER
+    _accelerations(setting, w, road[point], road[point + 1], road[point + 2], w[data.DELTA_START], data.A_Y_START)
     correct_paths(w, paths)
     while segment < end:
-        _drive_segment(setting, w, k, parts, road, segment)
-        if segment + size < end:
-            _accelerations(setting, w, road, segment + size + HEADER, data.WHEEL, data.A_Y_START_PAST)
-            at_T(w, road, segment + size, paths)
-        segment += size
+        point = _drive_segment(setting, w, k, road, segment)
+        segment = point + POINT
+        if segment < end and any_lane((w[data.SEGMENT_IN_T] > 0.0) & (road[segment + IN_T] == 0.0)):
+            v, per_v, lane = road[point], road[point + 1], road[point + 2]
+            _accelerations(setting, w, v, per_v, lane, w[data.WHEEL], data.A_Y_START_PAST)
+            at_T(w, road, segment, paths)
     settle(setting, w)
     if setting[data.HELD] > 0.0:
         driver.supervise(setting, w, k)
-    _accelerations(setting, w, road, end - POINT_SIZE, data.WHEEL, data.A_Y_END)
+    _accelerations(setting, w, road[point], road[point + 1], road[point + 2], w[data.WHEEL], data.A_Y_END)
     for n in range(4):
-        w[data.BEND_START + n] = bend[bend_offset + n]
+        w[data.BEND_START + n] = bend[bend_row + n]
     return end_sample(setting, w, k, paths)
 
 
@@ -393,6 +370,7 @@ def settle(setting, w):
     w[data.E_Y_RATE] = w[data.NEXT_E_Y_RATE] = select(alive, w[data.NEXT_E_Y_RATE], 0.0)
     w[data.E_PSI] = w[data.NEXT_E_PSI] = select(alive, w[data.NEXT_E_PSI], 0.0)
     w[data.E_PSI_RATE] = w[data.NEXT_E_PSI_RATE] = select(alive, w[data.NEXT_E_PSI_RATE], 0.0)
+    w[data.V_Y], w[data.OMEGA] = select(alive, w[data.V_Y], 0.0), select(alive, w[data.OMEGA], 0.0)
     rate = abs(w[data.WHEEL] - w[data.WHEEL_START]) / setting[data.DT]
     w[data.DELTA_RATE_PEAK] = max(w[data.DELTA_RATE_PEAK], select(alive, rate, 0.0))
 
@@ -435,7 +413,7 @@ def start(scene, setting, block, w, paths, path_rows):
     size, count = int(setting[data.FRAME_RING]), int(setting[data.MODES])
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
-        w[data.OUTWARD, l], w[data.N_SUBSTEPS, l] = scene[i, data.SIDE], scene[i, data.SUBSTEPS]
+        w[data.OUTWARD, l], w[data.SUBSTEPS_A_SAMPLE, l] = scene[i, data.SIDE], scene[i, data.SUBSTEPS]
         w[data.SCENARIO, l], w[data.CURVE_BIAS, l] = scene[i, data.INDEX], scene[i, data.CURVATURE_BIAS]
         T, v, a = scene[i, data.T_END], scene[i, data.SPEED], 0.0
         if setting[data.PROFILE] > 0.0:
@@ -476,8 +454,14 @@ def start(scene, setting, block, w, paths, path_rows):
                 w[frames + 2 * (k % size) + n, l] = scene[i, column]
             k += 1
     w[data.WHEEL_SEEN], w[data.SEGMENT_START] = w[data.LAST_COMMAND], w[data.T_0]
-    lay_point(setting, w, 0.0)
-    _accelerations(setting, w, w, data.V_START, data.WHEEL, data.A_Y_START)
+    v, _, lane = motion_at(setting, w, w[data.T_0])
+    psi, rate = w[data.E_PSI], w[data.E_Y_RATE]
+    sine_psi, cosine_psi = sine_and_cosine(psi)
+    w[data.V_Y] = fma(-v, psi, rate)
+    if setting[data.SATURATING] > 0.0:
+        w[data.V_Y] = fma(-v, sine_psi, rate) / cosine_psi
+    w[data.OMEGA] = w[data.E_PSI_RATE] + lane
+    _accelerations(setting, w, v, 1.0 / v, lane, w[data.WHEEL], data.A_Y_START)
     w[data.A_Y_BEFORE] = w[data.A_Y_START]
 
 
@@ -489,13 +473,13 @@ def drive_block_any(
     w, lane_weights, bend, road, preview, noise, intended = tables
     m, lookaheads, columns = scene.shape[0], times.shape[1], law.shape[2] - data.LAW
     start(scene, setting, block, w, paths[:0], path_rows)
-    parts, most, wide = substeps_of(w), 0, 1 + 2 * lookaheads
+    most, wide = 0, 1 + 2 * lookaheads
     for l in range(L):
         most = max(most, int(w[data.ALL_STEPS, l]))
     for k in range(most):
         if setting[data.HELD] > 0.0:
             driver.lay_recorded(setting, w, motion, block, k, intended, 7 * k)
-        ends[k + 1] = lay_road(setting, k, w, parts, road, ends[k])
+        ends[k + 1] = lay_road(setting, k, w, True, road, ends[k])
         block_table.lay_bend(setting, recorded, block, k, w, bend, 4 * k)
         sight.noise_of(setting, k, w, noise, 2 * k)
     for design in range(law.shape[0]):
@@ -515,6 +499,6 @@ def drive_block_any(
         for k in range(most):
             sight.see(setting, w, k, preview, k * wide, noise, 2 * k)
             sight.command(setting, w, k, lane_weights, preview, k * wide, lookaheads, columns - 2 * lookaheads)
-            if not advance(setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k, intended, 7 * k, paths):
+            if not advance(setting, w, k, road, ends[k], ends[k + 1], bend, 4 * k, intended, 7 * k, paths):
                 break
         block_table.store_scores(w, design, block, score, diverged, failed)

@@ -7,17 +7,19 @@ from typing import Final
 
 import numba
 
-from ldctoolkit.lanes import any_lane, fma, select
+from ldctoolkit.lanes import any_lane, ceil, fma, largest, select
 from ldctoolkit.numba_internals import OPTIONS
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.kernel.actuator import lay_lag
-from ldctoolkit.simulation.kernel.block_table import L, lengths, rings
+from ldctoolkit.simulation.kernel.block_table import SAME, lengths, rings
 from ldctoolkit.vector_math import cosine, sine
 
-# a segment of the road: its length, whether it is before T and after the delay, the length of a substep, what a lag
-# leaves of a distance over both lengths, and the parabola of that over a substep; then two points a substep and one
-HEADER: Final = 9
-POINT_SIZE: Final = 4
+# a segment of the road, in this order: its length, whether it is before T and after the delay, substeps, the length of
+# one, what a lag leaves of a distance over both lengths, and the parabola of that over a substep; then two points a
+# substep and one: speed, 1/speed, yaw rate of the lane
+HEADER: Final = 10
+IN_T, SUBSTEPS = 1, 3
+POINT: Final = 3
 
 
 @numba.njit(**OPTIONS)
@@ -49,69 +51,53 @@ def along(setting, w, t, turns):
 
 
 @numba.njit(**OPTIONS)
-def lay_point(setting, w, substep):
-    """The road after so many substeps of a segment, into the rows from `V_START` on."""
-    t = w[data.SEGMENT_START] + min(substep * w[data.SUBSTEP_LENGTH], w[data.SEGMENT_LENGTH])
-    dv = lay_time(setting, w, t)
-    w[data.DV_START] = dv * w[data.SEGMENT_IN_T]  # beyond T the speed stays
-
-
-@numba.njit(**OPTIONS)
-def lay_time(setting, w, t):
-    """The road at times t; the rate of the speed there."""
+def motion_at(setting, w, t):
+    """Speed, its rate before T, and yaw rate of the lane at times t."""
     v, dv, _, _ = along(setting, w, t, False)
-    w[data.V_START], w[data.PER_V_START] = v, 1.0 / v
-    w[data.LANE_START] = v * fma(w[data.CURVATURE_RATE], min(t, w[data.T]), w[data.CURVATURE_0])
-    return dv
+    return v, dv, v * fma(w[data.CURVATURE_RATE], min(t, w[data.T]), w[data.CURVATURE_0])
 
 
 @numba.njit(**OPTIONS)
-def substeps_of(w):
-    """Most substeps that a scenario of a block needs for a segment."""
-    most = 1
-    for l in range(L):
-        most = max(most, int(w[data.N_SUBSTEPS, l]))
-    return most
+def size_of(road, segment):
+    """Rows of the segment from a row on."""
+    return HEADER + (2 * int(largest(road[segment + SUBSTEPS])) + 1) * POINT
 
 
 @numba.njit(**OPTIONS)
-def segment_size(parts):
-    """Rows of a segment with so many substeps."""
-    return HEADER + (2 * parts + 1) * POINT_SIZE
+def lay_road(setting, k, w, points, road, to):
+    """Segments of sample k, on request with the points along their substeps, from `to` on; where they end.
 
-
-@numba.njit(**OPTIONS)
-def lay_road(setting, k, w, parts, road, to):
-    """Segments of sample k and the road along their substeps, from `to` on; where they end."""
+    A segment has as many substeps as its part of the sample asks for; without points, those of a whole sample.
+    """
     dt, switch, lag = setting[data.DT], setting[data.DELAY_PART], setting[data.LAG]
     h, until = lengths(setting, w, k)
-    cut = any_lane((until > 0.0) & (until < h))
-    inside = select((until > 0.0) & (until < h), until, h)
+    cuts = (until > 0.0) & (until < h)
+    inside, cut = select(cuts, until, h), any_lane(cuts)
     segments = 1 + int(cut) + int(switch > 0.0)
-    low, high = inside, h
+    first, low, high = h * 0.0, inside, h
     if segments == 3:
         low, high = min(inside, switch), max(inside, switch)
     elif not cut:
-        low = min(fma(h, 0.0, switch), h)
-    last = h * 0.0
+        low = min(switch, h)
     for n in range(segments):
-        first = last
         last = h
         if n + 1 < segments:
-            last = min(low, h)
-            if n == 1:
-                last = min(high, h)
-        w[data.SEGMENT_LENGTH], w[data.SUBSTEP_LENGTH] = last - first, (last - first) / w[data.N_SUBSTEPS]
+            last = min(low, h) if n == 0 else min(high, h)
+        length = last - first
+        share = length / dt if points else select(length > 0.0, 1.0, 0.0)
+        parts = max(ceil(w[data.SUBSTEPS_A_SAMPLE] * share - SAME), 1.0)
+        w[data.SEGMENT_LENGTH], w[data.N_SUBSTEPS], w[data.SUBSTEP_LENGTH] = length, parts, length / parts
         w[data.SEGMENT_IN_T] = select((last <= until) & (until > 0.0), 1.0, 0.0)
         w[data.SEGMENT_AFTER_DELAY] = select(first >= switch, 1.0, 0.0)
-        w[data.SEGMENT_START] = w[data.T_0] + k * dt + first
         if lag > 0.0:
             lay_lag(w, 1.0 / lag)
-        for j in range(HEADER):
-            road[to + j] = w[data.SEGMENT_LENGTH + j]
-        for j in range(2 * parts + 1):
-            lay_point(setting, w, 0.5 * j)
-            for n in range(POINT_SIZE):
-                road[to + HEADER + POINT_SIZE * j + n] = w[data.V_START + n]
-        to += HEADER + (2 * parts + 1) * POINT_SIZE
+        for row in range(HEADER):
+            road[to + row] = w[data.SEGMENT_LENGTH + row]
+        to += HEADER
+        for j in range(2 * int(largest(parts)) + 1 if points else 0):
+            t = w[data.T_0] + k * dt + (first + min(0.5 * j * w[data.SUBSTEP_LENGTH], length))
+            v, _, lane = motion_at(setting, w, t)
+            road[to], road[to + 1], road[to + 2] = v, 1.0 / v, lane
+            to += POINT
+        first = last
     return to
