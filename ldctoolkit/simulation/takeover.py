@@ -82,8 +82,11 @@ class TrueVehicles:
             slope = peak * (1.0 + tangent * tangent) / np.sqrt(np.where(rest > 0.0, rest, np.inf))
             return shape * peak * tangent, slope
 
-        # without yaw acceleration both axles use the same share, which hardly depends on v_y: Newton's method
-        v_y, grip = np.zeros_like(v), self.mu * GRAVITY
+        # without yaw acceleration both axles use the same share, which hardly depends on v_y: Newton's method, from
+        # small angles on linear tyres
+        across = bend - yaw_error * v - dv * rate / v
+        v_y = self.l_r * omega - (v * omega + across) * v * self.m * (self.l_f / (2.0 * wheelbase)) / self.C_ar
+        grip = self.mu * GRAVITY
         for _ in range(_NEWTON_STEPS):
             ahead = np.sqrt(np.maximum(v * v + v_y * v_y - rate * rate, _TINY * v * v))  # along the lane
             squared = ahead * ahead + rate * rate
@@ -105,7 +108,7 @@ class TrueVehicles:
         return dataclasses.replace(at, e_psi=e_psi, delta=delta)
 
 
-_NEWTON_STEPS = 4  # To rounding up to 0.99 of the friction
+_NEWTON_STEPS = 3  # To rounding up to nine tenths of the friction
 _TINY = 1e-12  # Share of the squared speed that is left along the lane at least
 _ITERATIONS = 8  # Fixed-point steps from the small steering angles to the large ones of saturating tyres
 _DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")  # Quantities with a factor, in the order of the random numbers
@@ -295,7 +298,7 @@ class Takeover:
     @functools.cached_property
     def turn(self) -> RecordedTurn:
         """The recorded paths at their triggers, with attitude and steering angle as they are taken over."""
-        turn = _turn(self.driven, self.vehicles, self.setup, self.start)
+        turn = _turn(self.driven, self.vehicles, self.setup, self.start, self.setup.vehicle.edge_offset)
         return dataclasses.replace(turn, e_psi=self.x_0[:, 2], e_psi_rate=self.x_0[:, 3], delta=self.delta_0)
 
     @functools.cached_property
@@ -382,18 +385,18 @@ def _state(
 
     With a vehicle model, also its own states in the columns after the four.
     """
-    turn = _turn(path, car, setup, t, steered=steered)
+    turn = _turn(path, car, setup, t, setup.vehicle.edge_offset, steered=steered)
     if setup.vehicle_model is not None:
         return equations(setup.vehicle_model).start(turn)
     return np.stack([turn.e_y, turn.e_y_rate, turn.e_psi, turn.e_psi_rate], axis=-1), turn.delta
 
 
 def _turn(
-    path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray, *, steered: bool = True
+    path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray, offset: float, *, steered: bool = True
 ) -> RecordedTurn:
-    """The recorded paths at times t, (m,) or (m, k), with the single track's attitude; `steered` as in `turn`."""
+    """The recorded paths at times t, (m,) or (m, k), as the single track takes them; e_y = y + offset."""
     v, rate, bend = path.speed(t), path.lateral_rate(t), path.lateral_acceleration(t)
-    lane, zero, e_y = v * path.curvature(t), np.zeros_like(v), path.lateral(t) + setup.vehicle.edge_offset
+    lane, zero, e_y = v * path.curvature(t), np.zeros_like(v), path.lateral(t) + offset
     yaw_error = bend / v if setup.initial_yaw_rate == "path" else zero
     dv = (v - path.speed(t - _SPEED_STEP)) / _SPEED_STEP if setup.options.speed == "profile" else zero
     turn = RecordedTurn(e_y, rate, bend, yaw_error, v, dv, lane, zero, zero)
@@ -429,7 +432,8 @@ def _front_deepest(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t_end
     steady = _steady(setup)
 
     def front(part: UncorrectedPath, rows: IntArray, t: FloatArray) -> FloatArray:
-        return part.lateral(t) + car.l_f * _turn(part, car.columns(rows), steady, t, steered=False).e_psi
+        turn = _turn(part, car.columns(rows), steady, t, 0.0, steered=False)
+        return turn.e_y + car.l_f * turn.e_psi
 
     return path.highest(front, np.zeros_like(t_end), t_end)
 
