@@ -108,7 +108,7 @@ class TrueVehicles:
         return dataclasses.replace(at, e_psi=e_psi, delta=delta)
 
 
-_NEWTON_STEPS = 3  # To rounding up to nine tenths of the friction
+_NEWTON_STEPS = 4  # To rounding up to 0.95 of the friction
 _TINY = 1e-12  # Share of the squared speed that is left along the lane at least
 _ITERATIONS = 8  # Fixed-point steps from the small steering angles to the large ones of saturating tyres
 _DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")  # Quantities with a factor, in the order of the random numbers
