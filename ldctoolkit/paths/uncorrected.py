@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -427,10 +428,12 @@ class UncorrectedPath:
 
     def _shaped(self, t: FloatArray) -> DepartureParameters:
         """The parameters as columns that broadcast against t."""
-        p = self.scenarios
-        if t.ndim == 1:
-            return p
-        return dataclasses.replace(p, **{name: getattr(p, name)[:, None] for name in PARAMETER_NAMES})
+        return self.scenarios if t.ndim == 1 else self._wide
+
+    @functools.cached_property
+    def _wide(self) -> DepartureParameters:
+        columns = {name: getattr(self.scenarios, name)[:, None] for name in PARAMETER_NAMES}
+        return dataclasses.replace(self.scenarios, **columns)
 
     def _values(
         self, what: str, plain: Callable[[DepartureParameters, FloatArray], FloatArray], t: FloatArray, moved: bool

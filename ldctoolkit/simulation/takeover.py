@@ -55,52 +55,62 @@ class TrueVehicles:
         """Steering angle and heading error that hold a bend on linear tyres, per unit of lane yaw rate."""
         return steady_cornering(*self.matrices(v, convention))
 
-    def turn(
-        self,
-        v: FloatArray,
-        dv: FloatArray,
-        rate: FloatArray,
-        bend: FloatArray,
-        lane: FloatArray,
-        yaw_error: FloatArray,
-        tyres: Tyres,
-        convention: Convention,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """e_psi, de_psi/dt and steering angle at which e_y'' is `bend` and e_psi'' is 0, (n,) or (n, k) each.
+    def turn(self, at: RecordedTurn, tyres: Tyres, convention: Convention, *, steered: bool = True) -> RecordedTurn:
+        """With e_psi and steering angle at which e_y'' is the path's and e_psi'' is 0; the angle only if `steered`.
 
-        Given speed and its rate, de_y/dt, e_y'', the lane's yaw rate and de_psi/dt. Where tyres saturate, a turn beyond
-        the friction is that of the largest force.
+        Where tyres saturate, a turn beyond the friction is that of the largest force.
         """
-        wheelbase, shape, omega = self.l_f + self.l_r, tyres.shape, lane + yaw_error
+        v, dv, rate, bend, yaw_error = at.v, at.v_rate, at.e_y_rate, at.e_y_acceleration, at.e_psi_rate
+        wheelbase, shape, omega = self.l_f + self.l_r, tyres.shape, at.yaw_rate + yaw_error
         if tyres.ideal:
             # the two force balances of Rajamani's eq. 2.45, for e_y'' that of the path and e_psi'' = 0
             slip_per_a_y = self.m * self.l_f / (2.0 * self.C_ar * wheelbase)  # of the rear axle
             v_y = self.l_r * omega  # of a rear axle without slip
             if convention == "as_printed":
                 v_y = v_y - 2.0 * self.l_r * self.l_f / wheelbase * yaw_error
-            e_psi = ((rate - v_y) / v + slip_per_a_y * (bend + v * lane)) / (1.0 + slip_per_a_y * dv)
+            e_psi = ((rate - v_y) / v + slip_per_a_y * (bend + v * at.yaw_rate)) / (1.0 + slip_per_a_y * dv)
             moment = self.C_af * self.l_f - self.C_ar * self.l_r
             damping = self.C_af * self.l_f**2 + self.C_ar * self.l_r**2
-            return e_psi, yaw_error, (damping * omega / v - moment * (e_psi - rate / v)) / (self.C_af * self.l_f)
+            delta = (damping * omega / v - moment * (e_psi - rate / v)) / (self.C_af * self.l_f)
+            return dataclasses.replace(at, e_psi=e_psi, delta=delta)
 
-        def slip(stiffness: FloatArray, arm: float, share: FloatArray) -> FloatArray:
-            """Slip angle at which an axle uses this share of its friction; beyond it, that of the largest force."""
-            load = self.mu * self.m * GRAVITY * arm / (2.0 * wheelbase)
-            return np.tan(np.arcsin(np.clip(share, -1.0, 1.0)) / shape) * shape * load / stiffness
+        def slip(stiffness: FloatArray, arm: float, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """Slip angle at which an axle uses this share of its friction, and its slope; beyond, of the largest."""
+            used = np.clip(share, -1.0, 1.0)
+            tangent, rest = np.tan(np.arcsin(used) / shape), 1.0 - used * used
+            peak = self.mu * self.m * (GRAVITY * arm / (2.0 * wheelbase)) / stiffness
+            slope = peak * (1.0 + tangent * tangent) / np.sqrt(np.where(rest > 0.0, rest, np.inf))
+            return shape * peak * tangent, slope
 
-        # without yaw acceleration both axles use the same share; it hardly depends on the angles that follow from it
-        v_y, e_psi, delta = np.zeros_like(v), rate / v, np.zeros_like(v)
+        # without yaw acceleration both axles use the same share, which hardly depends on v_y: Newton's method, from
+        # small angles on linear tyres
+        across = bend - yaw_error * v - dv * rate / v
+        v_y = self.l_r * omega - (v * omega + across) * v * self.m * (self.l_f / (2.0 * wheelbase)) / self.C_ar
+        grip = self.mu * GRAVITY
+        for _ in range(_NEWTON_STEPS):
+            ahead = np.sqrt(np.maximum(v * v + v_y * v_y - rate * rate, _TINY * v * v))  # along the lane
+            squared = ahead * ahead + rate * rate
+            sine, cosine = (rate * v - v_y * ahead) / squared, (v * ahead + rate * v_y) / squared  # of e_psi
+            across = (bend - dv * sine - yaw_error * ahead) / cosine
+            share = (v * omega + across) / grip
+            share_slope = (dv * cosine - across * sine - yaw_error * v_y / cosine) / (ahead * grip)
+            angle, slope = slip(self.C_ar, self.l_f, share)
+            behind = np.tan(angle)
+            gap, gap_slope = v_y - self.l_r * omega + v * behind, v * (1.0 + behind * behind) * slope * share_slope
+            v_y = v_y - gap / np.maximum(1.0 + gap_slope, 0.5)
+        # where no heading has this lateral speed, across the lane
+        e_psi = np.arcsin(np.clip(rate / np.sqrt(v * v + v_y * v_y), -1.0, 1.0)) - np.arctan(v_y / v)
+        if not steered:
+            return dataclasses.replace(at, e_psi=e_psi)
+        delta = along = np.arctan((v_y + self.l_f * omega) / v)
         for _ in range(_ITERATIONS):
-            sine, cosine = np.sin(e_psi), np.cos(e_psi)
-            across = (bend - dv * sine - yaw_error * (v * cosine - v_y * sine)) / cosine
-            share = (v * omega + across) / (self.mu * GRAVITY)
-            v_y = self.l_r * omega - v * np.tan(slip(self.C_ar, self.l_f, share))
-            delta = np.arctan((v_y + self.l_f * omega) / v) + slip(self.C_af, self.l_r, share / np.cos(delta))
-            e_psi = np.arcsin(np.clip(rate / np.hypot(v, v_y), -1.0, 1.0)) - np.arctan2(v_y, v)
-        return e_psi, yaw_error, delta
+            delta = along + slip(self.C_af, self.l_r, share / np.cos(delta))[0]
+        return dataclasses.replace(at, e_psi=e_psi, delta=delta)
 
 
-_ITERATIONS = 8  # Fixed-point steps from the small angles to the large ones of saturating tyres
+_NEWTON_STEPS = 4  # To rounding up to 0.95 of the friction
+_TINY = 1e-12  # Share of the squared speed that is left along the lane at least
+_ITERATIONS = 8  # Fixed-point steps from the small steering angles to the large ones of saturating tyres
 _DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")  # Quantities with a factor, in the order of the random numbers
 
 
@@ -288,7 +298,7 @@ class Takeover:
     @functools.cached_property
     def turn(self) -> RecordedTurn:
         """The recorded paths at their triggers, with attitude and steering angle as they are taken over."""
-        turn = _turn(self.driven, self.vehicles, self.setup, self.start)
+        turn = _turn(self.driven, self.vehicles, self.setup, self.start, self.setup.vehicle.edge_offset)
         return dataclasses.replace(turn, e_psi=self.x_0[:, 2], e_psi_rate=self.x_0[:, 3], delta=self.delta_0)
 
     @functools.cached_property
@@ -368,42 +378,33 @@ def _meant(path: UncorrectedPath, setup: Setup) -> UncorrectedPath:
     return UncorrectedPath.of(path.scenarios, dataclasses.replace(residuals, y=False), setup.seed)
 
 
-def _state(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _state(
+    path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray, *, steered: bool = True
+) -> tuple[FloatArray, FloatArray]:
     """State (m, 4) and steering angle (m,) with which the recorded path is driven at times t (m,); or (m, k).
 
     With a vehicle model, also its own states in the columns after the four.
     """
+    turn = _turn(path, car, setup, t, setup.vehicle.edge_offset, steered=steered)
     if setup.vehicle_model is not None:
-        return equations(setup.vehicle_model).start(_turn(path, car, setup, t))
-    e_psi, yaw_error, delta = _attitude(path, car, setup, t)
-    offset = setup.vehicle.edge_offset
-    return np.stack([path.lateral(t) + offset, path.lateral_rate(t), e_psi, yaw_error], axis=-1), delta
+        return equations(setup.vehicle_model).start(turn)
+    return np.stack([turn.e_y, turn.e_y_rate, turn.e_psi, turn.e_psi_rate], axis=-1), turn.delta
 
 
-def _attitude(
-    path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """e_psi, de_psi/dt and the steering angle with which the recorded path is driven at times t, (m,) or (m, k)."""
+def _turn(
+    path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray, offset: float, *, steered: bool = True
+) -> RecordedTurn:
+    """The recorded paths at times t, (m,) or (m, k), as the single track takes them; e_y = y + offset."""
     v, rate, bend = path.speed(t), path.lateral_rate(t), path.lateral_acceleration(t)
-    lane = v * path.curvature(t)
-    yaw_error = bend / v if setup.initial_yaw_rate == "path" else np.zeros_like(v)
+    lane, zero, e_y = v * path.curvature(t), np.zeros_like(v), path.lateral(t) + offset
+    yaw_error = bend / v if setup.initial_yaw_rate == "path" else zero
+    dv = (v - path.speed(t - _SPEED_STEP)) / _SPEED_STEP if setup.options.speed == "profile" else zero
+    turn = RecordedTurn(e_y, rate, bend, yaw_error, v, dv, lane, zero, zero)
     if setup.start == "printed":
-        return np.arctan2(rate, v), yaw_error, car.steady_state(v, setup.convention).delta * (lane + bend / v)
-    return car.turn(v, _speed_rate(path, setup, t), rate, bend, lane, yaw_error, setup.options.tyres, setup.convention)
-
-
-def _speed_rate(path: UncorrectedPath, setup: Setup, t: FloatArray) -> FloatArray:
-    """dv/dt of what is driven."""
-    v = path.speed(t)
-    return (v - path.speed(t - _SPEED_STEP)) / _SPEED_STEP if setup.options.speed == "profile" else np.zeros_like(v)
-
-
-def _turn(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray) -> RecordedTurn:
-    """The recorded paths at times t (m,), with the single track's attitude."""
-    e_psi, yaw_error, delta = _attitude(path, car, setup, t)
-    e_y, v = path.lateral(t) + setup.vehicle.edge_offset, path.speed(t)
-    moving = path.lateral_rate(t), path.lateral_acceleration(t), yaw_error, v, _speed_rate(path, setup, t)
-    return RecordedTurn(e_y, *moving, v * path.curvature(t), e_psi, delta)
+        delta = car.steady_state(v, setup.convention).delta * (lane + bend / v)
+        return dataclasses.replace(turn, e_psi=np.arctan2(rate, v), delta=delta)
+    steered = steered or setup.vehicle_model is not None  # where the model's search starts
+    return car.turn(turn, setup.options.tyres, setup.convention, steered=steered)
 
 
 def _steady(setup: Setup) -> Setup:
@@ -431,7 +432,8 @@ def _front_deepest(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t_end
     steady = _steady(setup)
 
     def front(part: UncorrectedPath, rows: IntArray, t: FloatArray) -> FloatArray:
-        return part.lateral(t) + car.l_f * _attitude(part, car.columns(rows), steady, t)[0]
+        turn = _turn(part, car.columns(rows), steady, t, 0.0, steered=False)
+        return turn.e_y + car.l_f * turn.e_psi
 
     return path.highest(front, np.zeros_like(t_end), t_end)
 
@@ -521,10 +523,13 @@ def _earlier_frames(over: Takeover) -> FloatArray:
     period = sensors.period or dt
     frames = np.zeros((over.m, 2 * math.ceil(sensors.delay / period - 1e-9)))
     for j in range(frames.shape[1] // 2):
-        t = over.start - (j + 1) * period
-        frames[:, 2 * j] = over.driven.lateral(t) + over.setup.vehicle.edge_offset
-        frames[:, 2 * j + 1] = _state(over.driven, over.vehicles, over.setup, t)[0][:, 2]
+        frames[:, 2 * j : 2 * j + 2] = _before(over, (j + 1) * period)[:, [0, 2]]
     return frames
+
+
+def _before(over: Takeover, age: float) -> FloatArray:
+    """States of the recorded path so long before the trigger, (m, 4) or more."""
+    return _state(over.driven, over.vehicles, over.setup, over.start - age, steered=False)[0]
 
 
 def _filter(over: Takeover) -> FloatArray:
@@ -532,9 +537,7 @@ def _filter(over: Takeover) -> FloatArray:
     sensors = over.setup.options.sensors
     if sensors.kalman is None:
         return np.zeros((over.m, 0))
-    first = over.x_0
-    if over.plant.age > 0.0:
-        first = _state(over.driven, over.vehicles, over.setup, over.start - over.plant.age)[0][:, :4]
+    first = _before(over, over.plant.age)[:, :4] if over.plant.age > 0.0 else over.x_0
     frame_samples = max(1, round(sensors.period / over.setup.dt))
     return np.concatenate([filter_columns(over.plant, sensors.kalman, frame_samples), first], axis=1)
 

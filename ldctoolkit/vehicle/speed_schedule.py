@@ -28,25 +28,26 @@ def filter_gain(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> Float
     sample's transition and Q = dt diag(0, q_y^2, 0, q_psi^2). M (n, 4, 2) = P C' (C P C' + R)^-1, with P
     the covariance of the prediction, by `scipy.linalg.solve_discrete_are`.
     """
-    what = f"filter gains for {kalman}, {frame_samples} samples of {plant.dt:g} s a frame"
-    return scheduled(_FilterGain(plant.model, plant.dt, kalman, frame_samples), plant.v, what).reshape(-1, 4, 2)
+    return filter_columns(plant, kalman, frame_samples, columns=slice(8)).reshape(-1, 4, 2)
 
 
-def filter_columns(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> FloatArray:
+def filter_columns(
+    plant: Plant, kalman: KalmanFilter, frame_samples: int, *, columns: slice = slice(None)
+) -> FloatArray:
     """The gain, then A and the inputs of the prediction and what the wheel angle adds to it, (n, 8 + 16 + 5 x 4)."""
-    step = plant.augmented
-    wheel = step.A[:, :4, 4] if plant.lag > 0.0 else np.zeros((plant.n, 4))
-    inputs = [weights[:, :4] for weights in (step.B, step.E_0, step.E_1, step.B_old)]
-    gain = filter_gain(plant, kalman, frame_samples).reshape(-1, 8)
-    return np.concatenate([gain, step.A[:, :4, :4].reshape(-1, 16), *inputs, wheel], axis=1)
+    what = f"filter gains for {kalman}, {frame_samples} samples of {plant.dt:g} s a frame"
+    known = plant.model, plant.dt, plant.lag, plant.delay
+    return scheduled(_Filter(*known, kalman, frame_samples), plant.v, what, columns=columns)
 
 
 @dataclasses.dataclass(frozen=True)
-class _FilterGain:
-    """The gain at given speeds, (m, 8)."""
+class _Filter:
+    """The columns at given speeds, (m, 44)."""
 
     model: BicycleModel
     dt: float
+    lag: float
+    delay: float
     kalman: KalmanFilter
     frame_samples: int
 
@@ -56,8 +57,9 @@ class _FilterGain:
         C = np.eye(4)[list(_MEASURED)]
         R = np.diag([self.kalman.r_y**2, self.kalman.r_psi**2])
         Q = self.dt * np.diag([0.0, self.kalman.q_y**2, 0.0, self.kalman.q_psi**2])
-        rows: list[FloatArray] = []
-        for A in self.model.discretize(v, self.dt).A:
+        gains: list[FloatArray] = []
+        step = Plant.build(self.model, v, self.dt, lag=self.lag, delay=self.delay).augmented
+        for A in step.A[:, :4, :4]:
             A_p, Q_p = np.eye(4), np.zeros((4, 4))
             for _ in range(self.frame_samples):
                 Q_p = A @ Q_p @ A.T + Q
@@ -65,12 +67,13 @@ class _FilterGain:
             try:
                 P = scipy.linalg.solve_discrete_are(A_p.T, C.T, 0.5 * (Q_p + Q_p.T), R)
             except (np.linalg.LinAlgError, ValueError) as error:
-                speed = v[len(rows)]
-                problem = f"has no gain at {speed:.3g} m/s: {error}"
+                problem = f"has no gain at {v[len(gains)]:.3g} m/s: {error}"
                 raise LdcError("sensors.kalman", problem, value=self.kalman) from error
             # P and the innovation's covariance are symmetric
-            rows.append(np.linalg.solve(C @ P @ C.T + R, C @ P).T.ravel())
-        return np.array(rows)
+            gains.append(np.linalg.solve(C @ P @ C.T + R, C @ P).T.ravel())
+        wheel = step.A[:, :4, 4] if self.lag > 0.0 else np.zeros((v.size, 4))
+        inputs = [weights[:, :4] for weights in (step.B, step.E_0, step.E_1, step.B_old)]
+        return np.concatenate([gains, step.A[:, :4, :4].reshape(-1, 16), *inputs, wheel], axis=1)
 
 
 SPEED_RANGE: Final = (1.0, 90.0)  # speeds [m/s] for which gains are scheduled
