@@ -129,9 +129,9 @@ MODES_USED = next(_rows)  # modes of the speed in the block, in every lane
 # Runge-Kutta steps: least number of substeps a sample, not rounded, length of the present one [s]; of the piece: its
 # length so far, its start since that of the departure [s], 1 where it ends
 SUBSTEPS_A_SAMPLE, H, PIECE_TIME, PIECE_START, PIECE_ENDS = _next(5)
-V_Y, OMEGA = _next(2)  # lateral velocity of the vehicle in its own frame [m/s], and its yaw rate [rad/s]
-# a segment: its length [s], 1 before T, 1 after the delay, substeps, length of one [s]; decay of a lag over both lengths,
-# and the parabola of that over a substep, see `kernel.road`
+V_Y = next(_rows)  # [m/s] lateral velocity of the vehicle in its own frame
+# a segment: its length [s], 1 before T, 1 after the delay, substeps, length of one [s]; decay of a lag over both
+# lengths, and the parabola of that over a substep, see `kernel.road`
 SEGMENT_LENGTH, SEGMENT_IN_T, SEGMENT_AFTER_DELAY, N_SUBSTEPS, SUBSTEP_LENGTH = _next(5)
 LAG_SEGMENT, LAG_SUBSTEP, LAG_START, LAG_MID, LAG_END = _next(5)
 YOUNG_COMMAND, OLD_COMMAND = _next(2)  # [rad] limited command from the switch on, and before it

@@ -34,30 +34,33 @@ _SPUN: Final = 1.5
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _linear_forces(setting, w, v_y, omega, v, per_v, lane, delta):  # noqa: ARG001
-    """a_y and yaw acceleration on linear tyres, and the front force over the mass.
+def _linear_forces(setting, w, v_y, turn, v, per_v, lane, delta):  # noqa: ARG001
+    """a_y and e_psi'' on linear tyres, dv_y/dt, and the front force over the mass.
 
-    With the lateral velocity v_y of the vehicle in its own frame and its yaw rate omega (Rajamani's eq. 2.45),
+    With the lateral velocity v_y of the vehicle in its own frame and its yaw rate omega = de_psi/dt + r, of which the
+    model lets the lane's part r jump along (Rajamani's eq. 2.45),
 
         F_f/m = (2 C_af/m) (delta - (v_y + l_f omega)/v),    F_r/m = (2 C_ar/m) (l_r omega - v_y)/v,
-        a_y = F_f/m + F_r/m,    domega/dt = (l_f F_f - l_r F_r)/I_z;
+        a_y = F_f/m + F_r/m,    dv_y/dt = a_y - v omega,    e_psi'' = (l_f F_f - l_r F_r)/I_z;
 
     the printed matrix takes `PRINTED_TERM` de_psi/dt/v from a_y.
     """
+    omega = turn + lane
     front = w[data.STIFFNESS_F] * fma(-per_v, fma(w[data.AXLE_F], omega, v_y), delta)
     rear = w[data.STIFFNESS_R] * (per_v * fma(w[data.AXLE_R], omega, -v_y))
-    a_y = fma(w[data.PRINTED_TERM] * (lane - omega), per_v, front + rear)
-    return a_y, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), front
+    a_y = fma(-w[data.PRINTED_TERM] * turn, per_v, front + rear)
+    return a_y, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), fma(-v, omega, a_y), front
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _saturating_forces(setting, w, v_y, omega, v, per_v, lane, delta):  # noqa: ARG001
+def _saturating_forces(setting, w, v_y, turn, v, per_v, lane, delta):  # noqa: ARG001
     """The same on tyres that saturate (Pacejka's Magic Formula), for large angles.
 
     With the slips a_f = delta - atan((v_y + l_f omega)/v), a_r = atan((l_r omega - v_y)/v),
 
         F_i/m = (D_i/m) sin(C atan(B_i a_i)),    a_y = F_f/m cos delta + F_r/m,    B_i = 2 C_ai/(C D_i).
     """
+    omega = turn + lane
     across_front, across_rear = fma(w[data.AXLE_F], omega, v_y) * per_v, fma(w[data.AXLE_R], omega, -v_y) * per_v
     if any_lane(max(abs(across_front), abs(across_rear)) > NEAR):
         across_front, across_rear = arctan(across_front), arctan(across_rear)
@@ -66,7 +69,8 @@ def _saturating_forces(setting, w, v_y, omega, v, per_v, lane, delta):  # noqa: 
     front = w[data.GRIP_F] * tyre_force(setting, data.TYRE, w[data.STIFFNESS_F] * (delta - across_front))
     rear = w[data.GRIP_R] * tyre_force(setting, data.TYRE, w[data.STIFFNESS_R] * across_rear)
     front *= cosine(delta)
-    return front + rear, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), front
+    a_y = front + rear
+    return a_y, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), fma(-v, omega, a_y), front
 
 
 @numba.njit(forceinline=True, **OPTIONS)
@@ -92,14 +96,14 @@ def _plant(forces, rate, held):
         """One step of the state, in place.
 
         k_1 = f(t, x), k_2 = f(t + h/2, x + h/2 k_1), k_3 = f(t + h/2, x + h/2 k_2), k_4 = f(t + h, x + h k_3),
-        x+ = x + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4) for x = (v_y, omega, e_psi) and the column, with
+        x+ = x + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4) for x = (v_y, de_psi/dt, e_psi) and the column, with
 
-            dv_y/dt = a_y - v omega,    de_psi/dt = omega - r,    de_y/dt = v sin e_psi + v_y cos e_psi.
+            de_y/dt = v sin e_psi + v_y cos e_psi.
 
         e_y feeds back into nothing: it follows by Simpson's rule, with the state in the middle from the same stages.
         """
         h, y, rate_0, psi = w[data.H], w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE], w[data.NEXT_E_PSI]
-        v_y, omega, half, sixth = w[data.V_Y], w[data.OMEGA], 0.5 * h, h * (1.0 / 6.0)
+        v_y, turn, half, sixth = w[data.V_Y], w[data.NEXT_E_PSI_RATE], 0.5 * h, h * (1.0 / 6.0)
         v_0, per_v_0, lane_0 = road[point], road[point + 1], road[point + 2]
         v_1, per_v_1, lane_1 = road[point + 3], road[point + 4], road[point + 5]
         v_2, per_v_2, lane_2 = road[point + 6], road[point + 7], road[point + 8]
@@ -109,46 +113,40 @@ def _plant(forces, rate, held):
             trail, per_ratio = w[data.TRAIL_TORQUE], 1.0 / setting[data.RATIO]
             angle, speed = w[data.COLUMN], w[data.COLUMN_RATE]
             delta_1 = angle * per_ratio
-        a_1, b_1, force = forces(setting, w, v_y, omega, v_0, per_v_0, lane_0, delta_1)
-        a_1 = fma(-v_0, omega, a_1)
-        v_y_2, omega_2 = fma(half, a_1, v_y), fma(half, b_1, omega)
+        _, b_1, a_1, force = forces(setting, w, v_y, turn, v_0, per_v_0, lane_0, delta_1)
+        v_y_2, turn_2 = fma(half, a_1, v_y), fma(half, b_1, turn)
         if held:
             c_1, assist_before, before = driver.column(setting, w, 0.0, angle, speed, trail * force)
             angle_2, speed_2 = fma(half, speed, angle), fma(half, c_1, speed)
             delta_2 = angle_2 * per_ratio
-        a_2, b_2, force = forces(setting, w, v_y_2, omega_2, v_1, per_v_1, lane_1, delta_2)
-        a_2 = fma(-v_1, omega_2, a_2)
-        v_y_3, omega_3 = fma(half, a_2, v_y), fma(half, b_2, omega)
+        _, b_2, a_2, force = forces(setting, w, v_y_2, turn_2, v_1, per_v_1, lane_1, delta_2)
+        v_y_3, turn_3 = fma(half, a_2, v_y), fma(half, b_2, turn)
         if held:
             c_2, _, _ = driver.column(setting, w, half, angle_2, speed_2, trail * force)
             angle_3, speed_3 = fma(half, speed_2, angle), fma(half, c_2, speed)
             delta_3 = angle_3 * per_ratio
-        a_3, b_3, force = forces(setting, w, v_y_3, omega_3, v_1, per_v_1, lane_1, delta_3)
-        a_3 = fma(-v_1, omega_3, a_3)
-        v_y_4, omega_4 = fma(h, a_3, v_y), fma(h, b_3, omega)
+        _, b_3, a_3, force = forces(setting, w, v_y_3, turn_3, v_1, per_v_1, lane_1, delta_3)
+        v_y_4, turn_4 = fma(h, a_3, v_y), fma(h, b_3, turn)
         if held:
             c_3, _, middle = driver.column(setting, w, half, angle_3, speed_3, trail * force)
             angle_4, speed_4 = fma(h, speed_3, angle), fma(h, c_3, speed)
             delta_4 = angle_4 * per_ratio
-        a_4, b_4, force = forces(setting, w, v_y_4, omega_4, v_2, per_v_2, lane_2, delta_4)
-        a_4 = fma(-v_2, omega_4, a_4)
+        _, b_4, a_4, force = forces(setting, w, v_y_4, turn_4, v_2, per_v_2, lane_2, delta_4)
         if held:
             c_4, _, _ = driver.column(setting, w, h, angle_4, speed_4, trail * force)
             end = fma(sixth, fma(2.0, speed_2 + speed_3, speed + speed_4), angle)
             speed = fma(sixth, fma(2.0, c_2 + c_3, c_1 + c_4), speed)
             driver.end_step(setting, w, h, before, assist_before, middle, angle, end, speed, trail * force)
-        turn, turn_mid, turn_4 = omega - lane_0, omega_2 + omega_3 - 2.0 * lane_1, omega_4 - lane_2
-        psi_mid = fma(h, fma(1.0 / 6.0, turn_mid, fma(5.0 / 24.0, turn, (-1.0 / 24.0) * turn_4)), psi)
+        psi_mid = fma(h, fma(1.0 / 6.0, turn_2 + turn_3, fma(5.0 / 24.0, turn, (-1.0 / 24.0) * turn_4)), psi)
         v_y_mid = fma(h, fma(1.0 / 6.0, a_2 + a_3, fma(5.0 / 24.0, a_1, (-1.0 / 24.0) * a_4)), v_y)
-        psi = fma(sixth, fma(2.0, turn_mid, turn + turn_4), psi)
+        psi = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
         v_y = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), v_y)
-        omega = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), omega)
         rate_1, rate_2, moves = rate(v_1, v_y_mid, psi_mid), rate(v_2, v_y, psi), h > 0.0
         w[data.PIECE_AREA] = fma(h, fma(sixth, fma(2.0, rate_1, rate_0), y), w[data.PIECE_AREA])
         w[data.NEXT_E_Y] = fma(sixth, fma(4.0, rate_1, rate_0 + rate_2), y)
         w[data.NEXT_E_Y_RATE] = select(moves, rate_2, rate_0)
-        w[data.NEXT_E_PSI], w[data.V_Y], w[data.OMEGA] = psi, v_y, omega
-        w[data.NEXT_E_PSI_RATE] = select(moves, omega - lane_2, w[data.NEXT_E_PSI_RATE])
+        w[data.NEXT_E_PSI], w[data.V_Y] = psi, v_y
+        w[data.NEXT_E_PSI_RATE] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
         w[data.PIECE_TIME] += h
 
     return substep
@@ -162,9 +160,9 @@ _saturating, _saturating_held = (_plant(_saturating_forces, _rate, held) for hel
 def _accelerations(setting, w, v, per_v, lane, delta, to):
     """a_y on the road at a moment, with the steering angle; relative to the road two rows further."""
     if setting[data.SATURATING] > 0.0:
-        a_y, _, _ = _saturating_forces(setting, w, w[data.V_Y], w[data.OMEGA], v, per_v, lane, delta)
+        a_y, _, _, _ = _saturating_forces(setting, w, w[data.V_Y], w[data.NEXT_E_PSI_RATE], v, per_v, lane, delta)
     else:
-        a_y, _, _ = _linear_forces(setting, w, w[data.V_Y], w[data.OMEGA], v, per_v, lane, delta)
+        a_y, _, _, _ = _linear_forces(setting, w, w[data.V_Y], w[data.NEXT_E_PSI_RATE], v, per_v, lane, delta)
     w[to], w[to + 2] = a_y, fma(-v, lane, a_y)
 
 
@@ -370,7 +368,7 @@ def settle(setting, w):
     w[data.E_Y_RATE] = w[data.NEXT_E_Y_RATE] = select(alive, w[data.NEXT_E_Y_RATE], 0.0)
     w[data.E_PSI] = w[data.NEXT_E_PSI] = select(alive, w[data.NEXT_E_PSI], 0.0)
     w[data.E_PSI_RATE] = w[data.NEXT_E_PSI_RATE] = select(alive, w[data.NEXT_E_PSI_RATE], 0.0)
-    w[data.V_Y], w[data.OMEGA] = select(alive, w[data.V_Y], 0.0), select(alive, w[data.OMEGA], 0.0)
+    w[data.V_Y] = select(alive, w[data.V_Y], 0.0)
     rate = abs(w[data.WHEEL] - w[data.WHEEL_START]) / setting[data.DT]
     w[data.DELTA_RATE_PEAK] = max(w[data.DELTA_RATE_PEAK], select(alive, rate, 0.0))
 
@@ -460,7 +458,6 @@ def start(scene, setting, block, w, paths, path_rows):
     w[data.V_Y] = fma(-v, psi, rate)
     if setting[data.SATURATING] > 0.0:
         w[data.V_Y] = fma(-v, sine_psi, rate) / cosine_psi
-    w[data.OMEGA] = w[data.E_PSI_RATE] + lane
     _accelerations(setting, w, v, 1.0 / v, lane, w[data.WHEEL], data.A_Y_START)
     w[data.A_Y_BEFORE] = w[data.A_Y_START]
 
