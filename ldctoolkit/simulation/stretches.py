@@ -42,6 +42,8 @@ class Stretch:
         self.threads = 1 if exact.size else threads  # an exact step takes less time than to start a thread
         self.blocks = np.arange(-(-(rows.stop - rows.start) // data.LANES))
         self.state = np.zeros((self.blocks.size, block_table.rings(self.setting)[-1]))
+        # lanes that go on, and how many
+        self.going, self.count = np.ones((self.blocks.size, data.LANES), dtype=np.bool_), self.blocks.size * data.LANES
         entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
 
     def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
@@ -77,9 +79,12 @@ class Stretch:
             self.sample(k, self.blocks[first:last], commands)
 
         in_threads(work, self.blocks.size, self.threads, SCENARIOS_A_TASK // data.LANES)
-        going = self.state[:, data.ALIVE : data.ALIVE + data.LANES] > 0.0
-        self.blocks = np.flatnonzero(going.any(axis=1))
-        alive[self.rows] = going.ravel()[: commands.size]
+        going = self.state[self.blocks, data.ALIVE : data.ALIVE + data.LANES] > 0.0
+        count = np.count_nonzero(going)
+        if count < self.count:
+            self.going[self.blocks], self.count = going, count
+            self.blocks = self.blocks[going.any(axis=1)]
+            alive[self.rows] = self.going.ravel()[: commands.size]
 
     def scores(self) -> tuple[FloatArray, BoolArray]:
         """Scores (columns, rows), and which scenarios diverged (rows,)."""
@@ -111,7 +116,9 @@ def stretches(takeover: Takeover, paths: FloatArray, path_row: IntArray, threads
     m, stiff, no_matrices = takeover.m, takeover.stiff, np.zeros((3, 0, data.EXACT))
     if takeover.setup.vehicle_model is not None:
         return [ModelStretch(takeover, slice(0, m), no_matrices, paths, path_row, threads)]
-    plants = [Stretch(takeover, slice(0, stiff), no_matrices, paths, path_row, threads)]
+    plants = []
+    if stiff or not m:
+        plants.append(Stretch(takeover, slice(0, stiff), no_matrices, paths, path_row, threads))
     if stiff < m:
         exact = np.ascontiguousarray(takeover.exact[:, stiff:])
         plants.append(Stretch(takeover, slice(stiff, m), exact, paths, path_row, threads))
