@@ -599,7 +599,7 @@ def _drive_general(
             plant.go_on(sample, last, alive)
         sample += 1
         going = alive[batch]
-        count_before, count = count, np.count_nonzero(going)
+        count_before, count = count, int(np.count_nonzero(going))
         if 0 < count < min(count_before, _DROP_BELOW * start.size):
             active = np.flatnonzero(going)
             rows_left = np.arange(m)[batch][active]

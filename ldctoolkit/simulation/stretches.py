@@ -80,10 +80,10 @@ class Stretch:
 
         in_threads(work, self.blocks.size, self.threads, SCENARIOS_A_TASK // data.LANES)
         going = self.state[self.blocks, data.ALIVE : data.ALIVE + data.LANES] > 0.0
-        count = np.count_nonzero(going)
+        count = int(np.count_nonzero(going))
         if count < self.count:
             self.going[self.blocks], self.count = going, count
-            self.blocks = self.blocks[going.any(axis=1)]
+            self.blocks = self.blocks[going.view(np.uint64)[:, 0] > 0]  # its eight lanes as one number
             alive[self.rows] = self.going.ravel()[: commands.size]
 
     def scores(self) -> tuple[FloatArray, BoolArray]:
