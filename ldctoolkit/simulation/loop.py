@@ -554,54 +554,64 @@ def _drive_general(
     times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
     last, failed = takeover.delta_0.copy(), np.zeros(m, dtype=np.int64)
     beyond, alive = np.zeros(m, dtype=np.bool_), np.ones(m, dtype=np.bool_)
-    batch: IntArray | slice = slice(None)  # The scenarios that the law still holds
-    active = np.arange(m)  # Rows of the batch that go on
+    # the scenarios that the law still holds: the first ones, unless others ended before them; which of them go on
+    batch: IntArray | slice = slice(0, m)
+    start, end, going = takeover.start, m, alive
     options = takeover.setup.options
     filtered, held = options.sensors.kalman is not None, not options.driver.ideal
     may_yield = held or options.actuator.delta_max is not None
-    state = law.init(m)
+    state, unseen = law.init(m), np.zeros((2, m))
     linear = isinstance(law, LinearSteps) and law.measured  # whose time is not a law's own
     step_seconds: list[float] = []
-    sample = 0
+    sample, count = 0, m
     calls: list[tuple[IntArray, int, SolverCalls]] = []
     planned: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
-    while active.size:
-        shown = np.zeros((m, 4)), np.zeros((m, times.size)), np.zeros((m, times.size)), *np.zeros((3, m))
+    while count:
+        # made anew: the law may keep them, and write into them
+        shown = [np.zeros((end, 4)), np.zeros((end, times.size)), np.zeros((end, times.size)), np.zeros(end)]
+        shown += list(np.zeros((2, end)) if may_yield else unseen)
         for plant in plants:
             plant.look(sample, times, *shown)
-        x, yaw_rate, heading, wheel, torque, yields = (values[batch] for values in shown)
-        t, previous = takeover.start[batch] + sample * takeover.setup.dt, np.where(alive, last, 0.0)[batch]
         frame = np.concatenate([plant.new_frame(sample) for plant in plants])[batch] if filtered else None
+        if not isinstance(batch, slice):
+            shown = [values[batch] for values in shown]
+        x, yaw_rate, heading, wheel, torque, yields = shown
         preview = Preview(
             yaw_rate, heading, wheel, frame, torque if held else None, yields > 0.0 if may_yield else None
         )
+        t, previous = start + sample * takeover.setup.dt, np.where(going, last[batch], 0.0)
         started = time.perf_counter()
-        result = law.step(t, x, preview, previous.copy(), state)
+        result = law.step(t, x, preview, previous, state)
         step_seconds += [] if linear else [time.perf_counter() - started]
-        delta, after, status = check_step(result, t.size, name)
-        if plans and (plan := law.plan((x, preview, previous, state), after)) is not None:
-            planned.append((takeover.rows[batch][active], plan[0], plan[1][active], plan[2][active]))
+        delta, after, status = check_step(result, start.size, name)
+        if plans and (plan := law.plan((x, preview, np.where(going, last[batch], 0.0), state), after)) is not None:
+            planned.append((takeover.rows[batch][going], plan[0], plan[1][going], plan[2][going]))
         state = after
         solved = law.solver_calls(state)
         if solved is not None:
-            check_calls(solved, t.size, name)
-            solved = solved.of(active)
+            check_calls(solved, start.size, name)
+            solved = solved.of(np.flatnonzero(going))
             calls.append((np.arange(m)[batch][solved.position], sample, solved))
-        wrong = ~np.isfinite(delta)
-        if wrong.any() or status.any():
-            delta[wrong] = previous[wrong]
-            failed[batch] += alive[batch] & (wrong | (status == EventStatus.SOLVER_FAILED))
-            beyond[batch] |= alive[batch] & (status == EventStatus.BEYOND_DELTA_MAX)
+        right = np.isfinite(delta)
+        if status.any() or not right.all():
+            delta = np.where(right, delta, last[batch])
+            failed[batch] += going & (~right | (status == EventStatus.SOLVER_FAILED))
+            beyond[batch] |= going & (status == EventStatus.BEYOND_DELTA_MAX)
         last[batch] = delta
         for plant in plants:
             plant.go_on(sample, last, alive)
         sample += 1
-        active_before, active = active.size, np.flatnonzero(alive[batch])
-        if 0 < active.size < min(active_before, _DROP_BELOW * t.size):
-            smaller = check_taken(law.take(active, state), active.size, name, times)
+        going = alive[batch]
+        count_before, count = count, int(np.count_nonzero(going))
+        if 0 < count < min(count_before, _DROP_BELOW * start.size):
+            active = np.flatnonzero(going)
+            rows_left = np.arange(m)[batch][active]
+            smaller = check_taken(law.take(active, state), count, name, times)
             if smaller is not None:
                 law, state = smaller
-                batch, active = np.arange(m)[batch][active], np.arange(active.size)
+                end = int(rows_left[-1]) + 1
+                batch = slice(0, end) if end == count else rows_left
+                start, going = takeover.start[batch], alive[batch]
     results = [plant.scores() for plant in plants]
     score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
     run = _run_of_scores(takeover, score, diverged, failed, np.array(step_seconds), kept)

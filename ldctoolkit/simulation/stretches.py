@@ -44,6 +44,7 @@ class Stretch:
         self.blocks = np.arange(-(-(rows.stop - rows.start) // LANES))
         self.state = zeros(self.blocks.size, entry.table_rows(self.setting), LANES)
         self.substeps = float(takeover.scene[rows, data.SUBSTEPS].max(initial=1.0))
+        self.going = np.ones((self.blocks.size, LANES), dtype=np.bool_)  # lanes that go on
         entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
 
     def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
@@ -80,9 +81,11 @@ class Stretch:
             self.sample(k, self.blocks[first:last], commands)
 
         in_threads(work, self.blocks.size, self.threads, SCENARIOS_A_TASK // LANES)
-        going = self.state[:, data.ALIVE] > 0.0
-        self.blocks = np.flatnonzero(going.any(axis=1))
-        alive[self.rows] = going.ravel()[: commands.size]
+        going = self.state[self.blocks, data.ALIVE] > 0.0
+        if not going.all():
+            self.going[self.blocks] = going
+            self.blocks = self.blocks[going.any(axis=1)]
+            alive[self.rows] = self.going.ravel()[: commands.size]
 
     def scores(self) -> tuple[FloatArray, BoolArray]:
         """Scores (columns, rows), and which scenarios diverged (rows,)."""
@@ -116,7 +119,9 @@ def stretches(takeover: Takeover, paths: FloatArray, path_row: IntArray, threads
     m, stiff, no_matrices = takeover.m, takeover.stiff, np.zeros((3, 0, data.EXACT))
     if takeover.setup.vehicle_model is not None:
         return [ModelStretch(takeover, slice(0, m), no_matrices, paths, path_row, threads)]
-    plants = [Stretch(takeover, slice(0, stiff), no_matrices, paths, path_row, threads)]
+    plants = []
+    if stiff or not m:
+        plants.append(Stretch(takeover, slice(0, stiff), no_matrices, paths, path_row, threads))
     if stiff < m:
         exact = np.ascontiguousarray(takeover.exact[:, stiff:])
         plants.append(Stretch(takeover, slice(stiff, m), exact, paths, path_row, threads))
