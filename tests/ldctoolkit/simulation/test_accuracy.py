@@ -11,10 +11,10 @@ from helpers import accuracy, reference_loop
 from helpers.accuracy import CASES, NAMES
 
 S_BOUND, METRIC_BOUND = 5e-6, 1e-4
-HARD_SHARE = {"tyres": 0.5, "tyres, mu 0.3": 0.8, "tyres, profile, actuator": 0.2, "all": 0.2}
+HARD_SHARE = {"tyres": 0.5, "tyres, mu 0.3": 0.8, "tyres, profile, actuator": 0.4, "all": 0.2}
 """Of the departures that are compared, at least so many go beyond the peak."""
 
-QUICK = {"tyres": (1, 8, 16), "tyres, mu 0.3": (1, 8, 16)}  # beyond the peak, each under a law of its own or faster
+QUICK = {"tyres": (1, 8), "tyres, mu 0.3": (1, 8), "tyres, profile, actuator": (1,), "all": (1,)}  # beyond the peak
 
 
 def compare(case: str, rows: np.ndarray) -> tuple[int, int]:
@@ -40,7 +40,7 @@ def compare(case: str, rows: np.ndarray) -> tuple[int, int]:
 
 @pytest.mark.parametrize("case", CASES)
 def test_s_and_peaks_equal_the_reference(case: str) -> None:
-    compared, beyond = compare(case, np.array(QUICK.get(case, (0, 4))))
+    compared, beyond = compare(case, np.array(QUICK.get(case, (5,))))
     assert compared > 0
     assert beyond > 0 or case not in QUICK
 
