@@ -29,6 +29,7 @@ G = 9.81
 W_L, W_V = 3.6, 1.9
 OFFSET = (W_L - W_V) / 2
 JERK_WINDOW = 0.5
+BOUND, SPUN = 20.0, 1.5  # |e_y| [m] and, on saturating tyres, |e_psi| [rad] beyond which a departure is lost
 
 Times = Any  # one time or an array of times [s]; and what belongs to them
 Law = Callable[..., float]
@@ -231,6 +232,10 @@ def drive(
         seen=np.array(loop.seen), commands=path.side * np.array(loop.commands), margin=loop.margin,
         metrics=_metrics(path, departure, loop) if rtol < 1e-12 else {},
     )  # fmt: skip
+
+
+class LostError(Exception):
+    """The vehicle left the road or spun."""
 
 
 class _Loop:
@@ -500,6 +505,8 @@ class _Loop:
             )
             self.state = solution.y[:, -1].copy()
             low = end
+            if abs(self.state[0]) > BOUND or (self.options.tyres.model != "linear" and abs(self.state[1]) > SPUN):
+                raise LostError
         if high == self.path.T:
             self.x_T = self.path.side * self.lane_coordinates(high, self.state)
             self.own_T = self.a_y(high, self.state) - self.v(high) * self.yaw_rate(high)
