@@ -18,7 +18,7 @@ from ldctoolkit.plant_options import whole_multiple
 from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle import Plant
 
-PIECE: Final = 4  # substeps after which scores are taken: about one of the fastest time constants
+PIECE: Final = 2  # substeps after which scores are taken: about half of the fastest time constant
 
 STIFF: Final = 8
 """Substeps a sample above which even the ideal plant takes them: about two of the fastest time constants."""

@@ -302,9 +302,9 @@ def column(setting, w, s, angle, rate, align):
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def end_step(setting, w, h, before, assist_before, middle, angle_before, angle, rate, align):
+def end_step(setting, w, since, h, before, assist_before, middle, angle_before, angle, rate, align):
     """Column and wheels at the end of a substep, with the driver's torque before it and in its middle; their scores."""
-    _, assist, torque = column(setting, w, h, angle, rate, align)
+    _, assist, torque = column(setting, w, since + h, angle, rate, align)
     mean, per_ratio = (1.0 / 6.0) * (abs(before) + 4.0 * abs(middle) + abs(torque)), 1.0 / setting[data.RATIO]
     wheel_before, wheel = angle_before * per_ratio, angle * per_ratio
     score(w, h, before, assist_before, torque, assist, middle, mean, wheel_before, wheel)

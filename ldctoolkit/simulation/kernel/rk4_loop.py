@@ -26,6 +26,8 @@ from ldctoolkit.simulation.kernel.road import HEADER, IN_T, POINT, lay_road, mot
 from ldctoolkit.vector_math import NEAR, arctan, arctan_near, cosine, sine_and_cosine, touches, tyre_force
 from ldctoolkit.vehicle.bicycle import GRAVITY
 
+_PARTS: Final = 4  # shorter steps where the slopes in the middle of a step differ by more than so much [m/s^2, rad/s^2]
+_UNEVEN: Final = 0.1
 _SPUN: Final = 1.5
 """|e_psi| [rad] at which saturating tyres have lost the vehicle: its equations end at a right angle to the lane."""
 
@@ -53,7 +55,7 @@ def _linear_forces(setting, w, v_y, turn, v, per_v, lane, delta):  # noqa: ARG00
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def _saturating_forces(setting, w, v_y, turn, v, per_v, lane, delta):  # noqa: ARG001
+def _saturating_forces(setting, w, v_y, turn, v, per_v, lane, delta):
     """The same on tyres that saturate (Pacejka's Magic Formula), for large angles.
 
     With the slips a_f = delta - atan((v_y + l_f omega)/v), a_r = atan((l_r omega - v_y)/v),
@@ -84,7 +86,7 @@ def _rate(v, v_y, psi):
     return fma(v, sine, v_y * cosine)
 
 
-def _plant(forces, rate, held):
+def _plant(forces, rate, saturating, held):
     """A substep of the Runge-Kutta method for these forces and this de_y/dt, without or with the arms of a driver.
 
     Plants are inlined where they are called: as functions, all would have one name for the linker, which takes the
@@ -93,7 +95,7 @@ def _plant(forces, rate, held):
 
     @numba.njit(forceinline=True, **OPTIONS)
     def substep(setting, w, road, point):
-        """One step of the state, in place.
+        """One step of the state, in place; `PARTS` shorter ones in lanes whose slopes in the middle disagree.
 
         k_1 = f(t, x), k_2 = f(t + h/2, x + h/2 k_1), k_3 = f(t + h/2, x + h/2 k_2), k_4 = f(t + h, x + h k_3),
         x+ = x + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4) for x = (v_y, de_psi/dt, e_psi) and the column, with
@@ -102,58 +104,89 @@ def _plant(forces, rate, held):
 
         e_y feeds back into nothing: it follows by Simpson's rule, with the state in the middle from the same stages.
         """
-        h, y, rate_0, psi = w[data.H], w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE], w[data.NEXT_E_PSI]
-        v_y, turn, half, sixth = w[data.V_Y], w[data.NEXT_E_PSI_RATE], 0.5 * h, h * (1.0 / 6.0)
+        h, again, since = w[data.H], w[data.H] < 0.0, 0.0 * w[data.H]
         v_0, per_v_0, lane_0 = road[point], road[point + 1], road[point + 2]
         v_1, per_v_1, lane_1 = road[point + 3], road[point + 4], road[point + 5]
         v_2, per_v_2, lane_2 = road[point + 6], road[point + 7], road[point + 8]
         delta_1, delta_2, delta_4 = w[data.DELTA_START], w[data.DELTA_MID], w[data.DELTA_END]
-        delta_3 = delta_2
-        if held:
-            trail, per_ratio = w[data.TRAIL_TORQUE], 1.0 / setting[data.RATIO]
-            angle, speed = w[data.COLUMN], w[data.COLUMN_RATE]
-            delta_1 = angle * per_ratio
-        _, b_1, a_1, force = forces(setting, w, v_y, turn, v_0, per_v_0, lane_0, delta_1)
-        v_y_2, turn_2 = fma(half, a_1, v_y), fma(half, b_1, turn)
-        if held:
-            c_1, assist_before, before = driver.column(setting, w, 0.0, angle, speed, trail * force)
-            angle_2, speed_2 = fma(half, speed, angle), fma(half, c_1, speed)
-            delta_2 = angle_2 * per_ratio
-        _, b_2, a_2, force = forces(setting, w, v_y_2, turn_2, v_1, per_v_1, lane_1, delta_2)
-        v_y_3, turn_3 = fma(half, a_2, v_y), fma(half, b_2, turn)
-        if held:
-            c_2, _, _ = driver.column(setting, w, half, angle_2, speed_2, trail * force)
-            angle_3, speed_3 = fma(half, speed_2, angle), fma(half, c_2, speed)
-            delta_3 = angle_3 * per_ratio
-        _, b_3, a_3, force = forces(setting, w, v_y_3, turn_3, v_1, per_v_1, lane_1, delta_3)
-        v_y_4, turn_4 = fma(h, a_3, v_y), fma(h, b_3, turn)
-        if held:
-            c_3, _, middle = driver.column(setting, w, half, angle_3, speed_3, trail * force)
-            angle_4, speed_4 = fma(h, speed_3, angle), fma(h, c_3, speed)
-            delta_4 = angle_4 * per_ratio
-        _, b_4, a_4, force = forces(setting, w, v_y_4, turn_4, v_2, per_v_2, lane_2, delta_4)
-        if held:
-            c_4, _, _ = driver.column(setting, w, h, angle_4, speed_4, trail * force)
-            end = fma(sixth, fma(2.0, speed_2 + speed_3, speed + speed_4), angle)
-            speed = fma(sixth, fma(2.0, c_2 + c_3, c_1 + c_4), speed)
-            driver.end_step(setting, w, h, before, assist_before, middle, angle, end, speed, trail * force)
-        psi_mid = fma(h, fma(1.0 / 6.0, turn_2 + turn_3, fma(5.0 / 24.0, turn, (-1.0 / 24.0) * turn_4)), psi)
-        v_y_mid = fma(h, fma(1.0 / 6.0, a_2 + a_3, fma(5.0 / 24.0, a_1, (-1.0 / 24.0) * a_4)), v_y)
-        psi = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
-        v_y = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), v_y)
-        rate_1, rate_2, moves = rate(v_1, v_y_mid, psi_mid), rate(v_2, v_y, psi), h > 0.0
-        w[data.PIECE_AREA] = fma(h, fma(sixth, fma(2.0, rate_1, rate_0), y), w[data.PIECE_AREA])
-        w[data.NEXT_E_Y] = fma(sixth, fma(4.0, rate_1, rate_0 + rate_2), y)
-        w[data.NEXT_E_Y_RATE] = select(moves, rate_2, rate_0)
-        w[data.NEXT_E_PSI], w[data.V_Y] = psi, v_y
-        w[data.NEXT_E_PSI_RATE] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
-        w[data.PIECE_TIME] += h
+        for part in range(_PARTS + 1 if saturating else 1):
+            if part > 0:
+                s, e = (part - 1) / _PARTS, part / _PARTS
+                h, since = select(again, w[data.H] * (1.0 / _PARTS), 0.0), s * w[data.H]
+                v_0, v_1, v_2 = _along(road, point, s), _along(road, point, 0.5 * (s + e)), _along(road, point, e)
+                per_v_0, per_v_1, per_v_2 = 1.0 / v_0, 1.0 / v_1, 1.0 / v_2
+                lane_0, lane_2 = _along(road, point + 2, s), _along(road, point + 2, e)
+                lane_1 = _along(road, point + 2, 0.5 * (s + e))
+                delta_1, delta_4 = _between(w, s), _between(w, e)
+                delta_2 = _between(w, 0.5 * (s + e))
+            y, rate_0, psi = w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE], w[data.NEXT_E_PSI]
+            v_y, turn, half = w[data.V_Y], w[data.NEXT_E_PSI_RATE], 0.5 * h
+            delta_3 = delta_2
+            if held:
+                trail, per_ratio = w[data.TRAIL_TORQUE], 1.0 / setting[data.RATIO]
+                angle, speed = w[data.COLUMN], w[data.COLUMN_RATE]
+                delta_1 = angle * per_ratio
+            _, b_1, a_1, force = forces(setting, w, v_y, turn, v_0, per_v_0, lane_0, delta_1)
+            v_y_2, turn_2 = fma(half, a_1, v_y), fma(half, b_1, turn)
+            if held:
+                c_1, assist_before, before = driver.column(setting, w, since, angle, speed, trail * force)
+                angle_2, speed_2 = fma(half, speed, angle), fma(half, c_1, speed)
+                delta_2 = angle_2 * per_ratio
+            _, b_2, a_2, force = forces(setting, w, v_y_2, turn_2, v_1, per_v_1, lane_1, delta_2)
+            v_y_3, turn_3 = fma(half, a_2, v_y), fma(half, b_2, turn)
+            if held:
+                c_2, _, _ = driver.column(setting, w, since + half, angle_2, speed_2, trail * force)
+                angle_3, speed_3 = fma(half, speed_2, angle), fma(half, c_2, speed)
+                delta_3 = angle_3 * per_ratio
+            _, b_3, a_3, force = forces(setting, w, v_y_3, turn_3, v_1, per_v_1, lane_1, delta_3)
+            v_y_4, turn_4 = fma(h, a_3, v_y), fma(h, b_3, turn)
+            if held:
+                c_3, _, middle = driver.column(setting, w, since + half, angle_3, speed_3, trail * force)
+                angle_4, speed_4 = fma(h, speed_3, angle), fma(h, c_3, speed)
+                delta_4 = angle_4 * per_ratio
+            _, b_4, a_4, force = forces(setting, w, v_y_4, turn_4, v_2, per_v_2, lane_2, delta_4)
+            if saturating and part == 0:
+                again = abs(a_2 - a_3) + abs(b_2 - b_3) > _UNEVEN
+                h = select(again, 0.0, h)  # not with this step
+            sixth = h * (1.0 / 6.0)
+            if held:
+                c_4, _, _ = driver.column(setting, w, since + h, angle_4, speed_4, trail * force)
+                end = fma(sixth, fma(2.0, speed_2 + speed_3, speed + speed_4), angle)
+                speed = fma(sixth, fma(2.0, c_2 + c_3, c_1 + c_4), speed)
+                driver.end_step(setting, w, since, h, before, assist_before, middle, angle, end, speed, trail * force)
+            psi_mid = fma(h, fma(1.0 / 6.0, turn_2 + turn_3, fma(5.0 / 24.0, turn, (-1.0 / 24.0) * turn_4)), psi)
+            v_y_mid = fma(h, fma(1.0 / 6.0, a_2 + a_3, fma(5.0 / 24.0, a_1, (-1.0 / 24.0) * a_4)), v_y)
+            psi = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
+            v_y = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), v_y)
+            rate_1, rate_2 = rate(v_1, v_y_mid, psi_mid), rate(v_2, v_y, psi)
+            w[data.PIECE_AREA] = fma(h, fma(sixth, fma(2.0, rate_1, rate_0), y), w[data.PIECE_AREA])
+            w[data.NEXT_E_Y] = fma(sixth, fma(4.0, rate_1, rate_0 + rate_2), y)
+            w[data.NEXT_E_Y_RATE] = select(h > 0.0, rate_2, rate_0)
+            w[data.NEXT_E_PSI], w[data.V_Y] = psi, v_y
+            w[data.NEXT_E_PSI_RATE] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
+            w[data.PIECE_TIME] += h
+            if part == 0 and not any_lane(again):
+                break
 
     return substep
 
 
-_linear, _linear_held = (_plant(_linear_forces, _linear_rate, held) for held in (False, True))
-_saturating, _saturating_held = (_plant(_saturating_forces, _rate, held) for held in (False, True))
+@numba.njit(forceinline=True, **OPTIONS)
+def _along(road, point, s):
+    """Between the points of a substep, on the parabola."""
+    start, mid, end = road[point], road[point + POINT], road[point + 2 * POINT]
+    return fma((1.0 - s) * (1.0 - 2.0 * s), start, fma(4.0 * s * (1.0 - s), mid, s * (2.0 * s - 1.0) * end))
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _between(w, s):
+    """The steering angle there."""
+    start, mid, end = w[data.DELTA_START], w[data.DELTA_MID], w[data.DELTA_END]
+    return fma((1.0 - s) * (1.0 - 2.0 * s), start, fma(4.0 * s * (1.0 - s), mid, s * (2.0 * s - 1.0) * end))
+
+
+_linear, _linear_held = (_plant(_linear_forces, _linear_rate, False, held) for held in (False, True))
+_saturating, _saturating_held = (_plant(_saturating_forces, _rate, True, held) for held in (False, True))
 
 
 @numba.njit(**OPTIONS)
