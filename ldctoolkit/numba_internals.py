@@ -25,6 +25,7 @@ OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
 
 LARGEST_FLOAT: Final = 1.7e308
 
+
 @intrinsic
 def uncounted(typing, array):  # noqa: ARG001
     """The same array without its count of references; the caller of the compiled entry keeps it alive.

@@ -18,21 +18,6 @@ _NEAR: Final = 1e-6  # Error of a zero, in parts of the piece; what it costs an 
 
 
 @numba.njit(inline="always", **OPTIONS)
-def hermite_peak(f_0, m_0, f_1, m_1, h):
-    """Largest value of the cubic with these ends and slopes, where it rises first and falls last."""
-    peak = max(f_0, f_1)
-    if m_0 > 0.0 > m_1:
-        m_0, m_1, rise = m_0 * h, m_1 * h, f_1 - f_0
-        a, b = m_0 + m_1 - 2.0 * rise, 3.0 * rise - 2.0 * m_0 - m_1
-        # 3 a u^2 + 2 b u + m_0 = 0 between 0 and 1, in the form that does not cancel
-        root = math.sqrt(max(b * b - 3.0 * a * m_0, 0.0))
-        u = m_0 / (root - b) if b < 0.0 else (-(b + root) / (3.0 * a) if a != 0.0 else 0.0)
-        if 0.0 < u < 1.0:
-            peak = max(peak, f_0 + u * (m_0 + u * (b + u * a)))
-    return peak
-
-
-@numba.njit(inline="always", **OPTIONS)
 def quartic_root(f_0, m_0, f_1, m_1, mean):
     """Root between 0 and 1 of the quartic with these ends, of opposite signs, slopes and mean."""
     q = 30.0 * (mean - 0.5 * (f_0 + f_1) - (m_0 - m_1) / 12.0)
@@ -69,6 +54,18 @@ def _between(c, low, high):
             return following
         u = following
     return u
+
+
+@numba.njit(**OPTIONS)
+def quartic_peak(f_0, m_0, f_1, m_1, mean):
+    """Largest value on [0, 1] of the quartic with these ends, slopes and mean, where it rises first and falls last."""
+    peak = max(f_0, f_1)
+    if m_0 > 0.0 > m_1:
+        q = 30.0 * (mean - 0.5 * (f_0 + f_1) - (m_0 - m_1) / 12.0)
+        a, b = 2.0 * (f_0 - f_1) + m_0 + m_1 - 2.0 * q, 3.0 * (f_1 - f_0) - 2.0 * m_0 - m_1 + q
+        u = _between((m_0, 2.0 * b, 3.0 * a, 4.0 * q, 0.0), 0.0, 1.0)
+        peak = max(peak, f_0 + u * (m_0 + u * (b + u * (a + u * q))))
+    return peak
 
 
 @numba.njit(**OPTIONS)

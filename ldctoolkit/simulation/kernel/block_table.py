@@ -16,7 +16,7 @@ from ldctoolkit.control import AssistState
 from ldctoolkit.lanes import fma, select
 from ldctoolkit.numba_internals import OPTIONS
 from ldctoolkit.simulation.kernel import data
-from ldctoolkit.vector_math import absolute_area, hermite_peak, quartic_root, touches
+from ldctoolkit.vector_math import absolute_area, quartic_peak, quartic_root, touches
 
 L: Final = LANES
 
@@ -80,22 +80,23 @@ def begin(scene, setting, block, w, paths, path_rows):
 def look_closer(setting, w, l, t, h, counted):
     """Score a piece of one lane from t to t + h closely: change of sign, extremes, edge back inside.
 
-    e_y is the cubic through both ends, e_y + l_f e_psi as well; |e_y| is integrated on the quartic that also has the
-    integral of the piece.
+    e_y and e_psi are the quartics with their ends, slopes and integrals over the piece.
     """
     l_f, offset = setting[data.L_FRONT], setting[data.OFFSET]
     x_0, x_1, n_0, n_1 = w[data.E_Y, l], w[data.E_Y_RATE, l], w[data.NEXT_E_Y, l], w[data.NEXT_E_Y_RATE, l]
     if w[data.T_BACK, l] == math.inf and x_0 >= offset > n_0:
         u = quartic_root(x_0 - offset, h * x_1, n_0 - offset, h * n_1, w[data.PIECE_AREA, l] / h - offset)
         w[data.T_BACK, l] = t + h * u
+    area, m_0, m_1 = w[data.PIECE_AREA, l], h * x_1, h * n_1
     if counted:
         f_0, f_1 = x_0 + l_f * w[data.E_PSI, l], n_0 + l_f * w[data.NEXT_E_PSI, l]
-        front = hermite_peak(f_0, x_1 + l_f * w[data.E_PSI_RATE, l], f_1, n_1 + l_f * w[data.NEXT_E_PSI_RATE, l], h)
-        w[data.DEEPEST, l] = max(w[data.DEEPEST, l], hermite_peak(x_0, x_1, n_0, n_1, h))
+        g_0, g_1 = m_0 + h * l_f * w[data.E_PSI_RATE, l], m_1 + h * l_f * w[data.NEXT_E_PSI_RATE, l]
+        front = quartic_peak(f_0, g_0, f_1, g_1, (area + l_f * w[data.PIECE_TURN, l]) / h)
+        w[data.DEEPEST, l] = max(w[data.DEEPEST, l], quartic_peak(x_0, m_0, n_0, m_1, area / h))
         w[data.FRONT_DEEPEST, l] = max(w[data.FRONT_DEEPEST, l], front)
         if x_0 * n_0 < 0.0 or touches(x_0, x_1, n_0, n_1, h):
-            w[data.PIECE_AREA, l] = absolute_area(x_0, x_1, n_0, n_1, w[data.PIECE_AREA, l], h)
-    w[data.OPPOSITE, l] = max(w[data.OPPOSITE, l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
+            w[data.PIECE_AREA, l] = absolute_area(x_0, x_1, n_0, n_1, area, h)
+    w[data.OPPOSITE, l] = max(w[data.OPPOSITE, l], quartic_peak(-x_0, -m_0, -n_0, -m_1, -area / h))
 
 
 @numba.njit(**OPTIONS)

@@ -81,9 +81,9 @@ def _next(count: int) -> Iterator[int]:
     return itertools.islice(_rows, count)
 
 
-# a piece of the path: the state at its start and at its end, and the integral of e_y [m s]
+# a piece of the path: the state at its start and at its end, and the integrals of e_y [m s] and of e_psi [rad s]
 E_Y, E_Y_RATE, E_PSI, E_PSI_RATE = _next(4)
-NEXT_E_Y, NEXT_E_Y_RATE, NEXT_E_PSI, NEXT_E_PSI_RATE, PIECE_AREA = _next(5)
+NEXT_E_Y, NEXT_E_Y_RATE, NEXT_E_PSI, NEXT_E_PSI_RATE, PIECE_AREA, PIECE_TURN = _next(6)
 LAST_COMMAND, COMMAND = _next(2)  # [rad] of the sample before, and the present one
 E_Y_INTEGRAL = next(_rows)  # [m s] z, as the law sees it
 BEFORE_T, ALIVE = _next(2)  # 1 or 0

@@ -183,6 +183,15 @@ def _score(setting, w):
 
 
 @numba.njit(**OPTIONS)
+def _turn(w, l, h, r_0, r_1):
+    """Integral of e_psi over a step: the row of e_y'' integrated, and solved for it."""
+    rest = w[data.DDE_DELTA, l] * w[data.COMMAND, l] * h + w[data.DDE_LANE, l] * 0.5 * h * (r_0 + r_1)
+    rest += w[data.DDE_E_Y_RATE, l] * (w[data.NEXT_E_Y, l] - w[data.E_Y, l])
+    rest += w[data.DDE_E_PSI_RATE, l] * (w[data.NEXT_E_PSI, l] - w[data.E_PSI, l])
+    return (w[data.NEXT_E_Y_RATE, l] - w[data.E_Y_RATE, l] - rest) / w[data.DDE_E_PSI, l]
+
+
+@numba.njit(**OPTIONS)
 def _cut(exact, setting, w, i, l, k, paths):
     """Step k of a lane in which it is cut by T or shorter than dt, with its scores; False if it diverged."""
     h, until = length_of(setting, w, l, k)
@@ -204,7 +213,7 @@ def _cut(exact, setting, w, i, l, k, paths):
                 value += exact[part, i, 3 * n + j] * w[data.E_Y + j + 1, l]
             w[data.NEXT_E_Y + n, l] = value
             area += exact[part, i, data.EX_X + n] * w[data.E_Y + n, l] if n else 0.0
-        w[data.PIECE_AREA, l] = area
+        w[data.PIECE_AREA, l], w[data.PIECE_TURN, l] = area, _turn(w, l, span, r_0, r_1)
         if not abs(w[data.NEXT_E_Y, l]) <= setting[data.BOUND]:
             block_table.diverge(setting, w, l, t, counted)
             return False
@@ -262,6 +271,7 @@ def advance(exact, setting, w, k, lookahead, first, bend, bend_offset, paths):
                     block_table.diverge(setting, w, l, t, counted)
                     inside = False
                 elif w[data.EVENT, l] > 0.0:
+                    w[data.PIECE_TURN, l] = _turn(w, l, h, _lane_rate(w, l, t), w[data.LANE_RATE, l])
                     block_table.look_closer(setting, w, l, t, h, counted)
                 if not inside:
                     w[data.DIVERGED, l] = 1.0

@@ -84,6 +84,9 @@ def take(phase, setting, w, road, k, j, segment, paths, e, result, first):
     elif phase == data.STEPPED:
         for l in range(L):
             if w[data.H, l] > 0.0:
+                psi, psi_rate, h = w[data.NEXT_E_PSI, l], w[data.NEXT_E_PSI_RATE, l], w[data.H, l]
+                change = psi_rate - result[first + l, 3]
+                w[data.PIECE_TURN, l] += h * (0.5 * (psi + result[first + l, 2]) + h * change / 12.0)
                 for n in range(4):
                     w[data.NEXT_E_Y + n, l] = result[first + l, n]
                 w[data.PIECE_AREA, l] += result[first + l, 4]

@@ -156,10 +156,11 @@ def _plant(forces, rate, saturating, held):
                 driver.end_step(setting, w, since, h, before, assist_before, middle, angle, end, speed, trail * force)
             psi_mid = fma(h, fma(1.0 / 6.0, turn_2 + turn_3, fma(5.0 / 24.0, turn, (-1.0 / 24.0) * turn_4)), psi)
             v_y_mid = fma(h, fma(1.0 / 6.0, a_2 + a_3, fma(5.0 / 24.0, a_1, (-1.0 / 24.0) * a_4)), v_y)
-            psi = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
+            psi_0, psi = psi, fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
             v_y = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), v_y)
             rate_1, rate_2 = rate(v_1, v_y_mid, psi_mid), rate(v_2, v_y, psi)
             w[data.PIECE_AREA] = fma(h, fma(sixth, fma(2.0, rate_1, rate_0), y), w[data.PIECE_AREA])
+            w[data.PIECE_TURN] = fma(sixth, fma(4.0, psi_mid, psi_0 + psi), w[data.PIECE_TURN])
             w[data.NEXT_E_Y] = fma(sixth, fma(4.0, rate_1, rate_0 + rate_2), y)
             w[data.NEXT_E_Y_RATE] = select(h > 0.0, rate_2, rate_0)
             w[data.NEXT_E_PSI], w[data.V_Y] = psi, v_y
@@ -238,6 +239,7 @@ def _next_piece(w):
     x_3, n_0, n_1 = w[data.E_PSI_RATE], w[data.NEXT_E_Y], w[data.NEXT_E_Y_RATE]
     n_2, n_3 = w[data.NEXT_E_PSI], w[data.NEXT_E_PSI_RATE]
     w[data.PIECE_AREA], w[data.PIECE_TIME] = select(due, 0.0, signed), select(due, 0.0, now)
+    w[data.PIECE_TURN] = select(due, 0.0, w[data.PIECE_TURN])
     w[data.E_Y], w[data.E_Y_RATE] = select(due, n_0, x_0), select(due, n_1, x_1)
     w[data.E_PSI], w[data.E_PSI_RATE] = select(due, n_2, x_2), select(due, n_3, x_3)
 
