@@ -142,7 +142,9 @@ _LEAST_GRIP = 1e-9  # Of a driver who holds the wheel at all: less has no number
 _SHORTEST_STEP = 1e-12  # [s] A shorter remainder is rounding of T - t_s, not a step to be driven
 _SPEED_STEP = 1e-4  # [s] Step of the difference quotient of the recorded speed
 
-_REACH = 0.25  # Longest substep of the Runge-Kutta method, in units of the fastest time constant
+# Longest substep of the Runge-Kutta method, in units of the fastest time constant; where tyres saturate, the loop takes
+# shorter ones by itself
+_REACH, _REACH_OF_TYRES = 0.25, 0.4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -455,6 +457,7 @@ def _scene(over: Takeover) -> FloatArray:
     sensors, bias = setup.options.sensors, np.full(m, setup.options.sensors.curvature_bias)
     if sensors.curvature_noise > 0:
         bias += sensors.curvature_noise * normals(setup.seed, p.index, RandomStream.CURVATURE, 1)[:, 0]
+    reach = _REACH if setup.options.tyres.ideal else _REACH_OF_TYRES
     slowest = v if setup.options.speed == "frozen" else over.driven.slowest_speed(over.start, p.T)
     columns = {
         data.START: over.start,
@@ -471,7 +474,7 @@ def _scene(over: Takeover) -> FloatArray:
         data.DC: p.dc,
         data.DELTA_0: over.delta_0,
         data.SUBSTEPS: np.maximum(
-            setup.dt * np.maximum(np.maximum(lateral, yaw) / slowest / _REACH, 1.0 / data.LONGEST),
+            setup.dt * np.maximum(np.maximum(lateral, yaw) / slowest / reach, 1.0 / data.LONGEST),
             data.column_steps(setup),
         ),
         data.C_AF: car.C_af,

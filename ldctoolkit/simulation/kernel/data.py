@@ -214,9 +214,9 @@ ASSIST_STATE: Final = SCORE + SCORES - 1  # `AssistState`
     MODES, EARLIER_FRAMES, CAMERA, PERIOD, CAMERA_DELAY, NOISE_Y, NOISE_PSI, BIAS_Y, BIAS_PSI, STEP_Y, STEP_PSI,
     CURVATURE_GAIN, SEED_LOW, SEED_HIGH, FILTERED, KNOWN_DELAY, KNOWN_AGE, COMMAND_RING, FRAME_RING, A_Y_RING,
     HELD, ARMS, RATIO, ASSIST_STIFFNESS, ASSIST_DAMPING, TORQUE_MAX, ARM_DAMPING, ARM_LAG, WHEEL_DAMPING, INERTIA,
-    RETURN_DAMPING, OVERRIDE_TORQUE, OVERRIDE_TIME, RAMP, RETURN_AFTER, GRIP_STEPS,
-) = range(49)  # fmt: skip
-TYRE: Final = 49  # then, for `tyre_force`, the numbers of `tyre_series`
+    RETURN_DAMPING, OVERRIDE_TORQUE, OVERRIDE_TIME, RAMP, RETURN_AFTER, GRIP_STEPS, IMMEDIATE, FRAMES_BETWEEN,
+) = range(51)  # fmt: skip
+TYRE: Final = 51  # then, for `tyre_force`, the numbers of `tyre_series`
 
 
 def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window: float) -> FloatArray:
@@ -278,6 +278,9 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         RAMP: driver.ramp,
         RETURN_AFTER: driver.return_after,
         GRIP_STEPS: 4,  # within a substep
+        # the steering angle jumps with the command
+        IMMEDIATE: actuator.lag == 0.0 and actuator.rate_max is None and not driver.holds,
+        FRAMES_BETWEEN: not sensors.ideal and abs(period / dt - round(period / dt)) > 1e-9,  # samples
     }
     from ldctoolkit.vector_math import tyre_series
 

@@ -26,8 +26,11 @@ from ldctoolkit.simulation.kernel.road import HEADER, IN_T, POINT, lay_road, mot
 from ldctoolkit.vector_math import NEAR, arctan, arctan_near, cosine, sine_and_cosine, touches, tyre_force
 from ldctoolkit.vehicle.bicycle import GRAVITY
 
-_PARTS: Final = 4  # shorter steps where the slopes in the middle of a step differ by more than so much [m/s^2, rad/s^2]
-_UNEVEN: Final = 0.1
+# shorter steps where an argument of a tyre's formula is beyond so much, and the slopes in the middle of a step differ by
+# more than so much [m/s^2, rad/s^2]
+_PARTS: Final = 4
+_USED: Final = 0.3
+_UNEVEN: Final = 0.001
 _SPUN: Final = 1.5
 """|e_psi| [rad] at which saturating tyres have lost the vehicle: its equations end at a right angle to the lane."""
 
@@ -51,7 +54,7 @@ def _linear_forces(setting, w, v_y, turn, v, per_v, lane, delta):  # noqa: ARG00
     front = w[data.STIFFNESS_F] * fma(-per_v, fma(w[data.AXLE_F], omega, v_y), delta)
     rear = w[data.STIFFNESS_R] * (per_v * fma(w[data.AXLE_R], omega, -v_y))
     a_y = fma(-w[data.PRINTED_TERM] * turn, per_v, front + rear)
-    return a_y, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), fma(-v, omega, a_y), front
+    return a_y, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), fma(-v, omega, a_y), front, front
 
 
 @numba.njit(forceinline=True, **OPTIONS)
@@ -68,11 +71,16 @@ def _saturating_forces(setting, w, v_y, turn, v, per_v, lane, delta):
         across_front, across_rear = arctan(across_front), arctan(across_rear)
     else:  # the same bits without a division
         across_front, across_rear = arctan_near(across_front), arctan_near(across_rear)
-    front = w[data.GRIP_F] * tyre_force(setting, data.TYRE, w[data.STIFFNESS_F] * (delta - across_front))
-    rear = w[data.GRIP_R] * tyre_force(setting, data.TYRE, w[data.STIFFNESS_R] * across_rear)
+    used_front, used_rear = w[data.STIFFNESS_F] * (delta - across_front), w[data.STIFFNESS_R] * across_rear
+    front = w[data.GRIP_F] * tyre_force(setting, data.TYRE, used_front)
+    rear = w[data.GRIP_R] * tyre_force(setting, data.TYRE, used_rear)
     front *= cosine(delta)
-    a_y = front + rear
-    return a_y, fma(w[data.ARM_F], front, -w[data.ARM_R] * rear), fma(-v, omega, a_y), front
+    a_y, yaw, used = (
+        front + rear,
+        fma(w[data.ARM_F], front, -w[data.ARM_R] * rear),
+        max(abs(used_front), abs(used_rear)),
+    )
+    return a_y, yaw, fma(-v, omega, a_y), front, used
 
 
 @numba.njit(forceinline=True, **OPTIONS)
@@ -126,27 +134,27 @@ def _plant(forces, rate, saturating, held):
                 trail, per_ratio = w[data.TRAIL_TORQUE], 1.0 / setting[data.RATIO]
                 angle, speed = w[data.COLUMN], w[data.COLUMN_RATE]
                 delta_1 = angle * per_ratio
-            _, b_1, a_1, force = forces(setting, w, v_y, turn, v_0, per_v_0, lane_0, delta_1)
+            _, b_1, a_1, force, used = forces(setting, w, v_y, turn, v_0, per_v_0, lane_0, delta_1)
             v_y_2, turn_2 = fma(half, a_1, v_y), fma(half, b_1, turn)
             if held:
                 c_1, assist_before, before = driver.column(setting, w, since, angle, speed, trail * force)
                 angle_2, speed_2 = fma(half, speed, angle), fma(half, c_1, speed)
                 delta_2 = angle_2 * per_ratio
-            _, b_2, a_2, force = forces(setting, w, v_y_2, turn_2, v_1, per_v_1, lane_1, delta_2)
+            _, b_2, a_2, force, _ = forces(setting, w, v_y_2, turn_2, v_1, per_v_1, lane_1, delta_2)
             v_y_3, turn_3 = fma(half, a_2, v_y), fma(half, b_2, turn)
             if held:
                 c_2, _, _ = driver.column(setting, w, since + half, angle_2, speed_2, trail * force)
                 angle_3, speed_3 = fma(half, speed_2, angle), fma(half, c_2, speed)
                 delta_3 = angle_3 * per_ratio
-            _, b_3, a_3, force = forces(setting, w, v_y_3, turn_3, v_1, per_v_1, lane_1, delta_3)
+            _, b_3, a_3, force, _ = forces(setting, w, v_y_3, turn_3, v_1, per_v_1, lane_1, delta_3)
             v_y_4, turn_4 = fma(h, a_3, v_y), fma(h, b_3, turn)
             if held:
                 c_3, _, middle = driver.column(setting, w, since + half, angle_3, speed_3, trail * force)
                 angle_4, speed_4 = fma(h, speed_3, angle), fma(h, c_3, speed)
                 delta_4 = angle_4 * per_ratio
-            _, b_4, a_4, force = forces(setting, w, v_y_4, turn_4, v_2, per_v_2, lane_2, delta_4)
+            _, b_4, a_4, force, used_4 = forces(setting, w, v_y_4, turn_4, v_2, per_v_2, lane_2, delta_4)
             if saturating and part == 0:
-                again = abs(a_2 - a_3) + abs(b_2 - b_3) > _UNEVEN
+                again = (max(used, used_4) > _USED) & (abs(a_2 - a_3) + abs(b_2 - b_3) > _UNEVEN)
                 h = select(again, 0.0, h)  # not with this step
             sixth = h * (1.0 / 6.0)
             if held:
@@ -194,9 +202,9 @@ _saturating, _saturating_held = (_plant(_saturating_forces, _rate, True, held) f
 def _accelerations(setting, w, v, per_v, lane, delta, to):
     """a_y on the road at a moment, with the steering angle; relative to the road two rows further."""
     if setting[data.SATURATING] > 0.0:
-        a_y, _, _, _ = _saturating_forces(setting, w, w[data.V_Y], w[data.NEXT_E_PSI_RATE], v, per_v, lane, delta)
+        a_y, _, _, _, _ = _saturating_forces(setting, w, w[data.V_Y], w[data.NEXT_E_PSI_RATE], v, per_v, lane, delta)
     else:
-        a_y, _, _, _ = _linear_forces(setting, w, w[data.V_Y], w[data.NEXT_E_PSI_RATE], v, per_v, lane, delta)
+        a_y, _, _, _, _ = _linear_forces(setting, w, w[data.V_Y], w[data.NEXT_E_PSI_RATE], v, per_v, lane, delta)
     w[to], w[to + 2] = a_y, fma(-v, lane, a_y)
 
 
@@ -256,7 +264,6 @@ def begin_sample(setting, w, k):
     # the steering angle at the trigger is not limited
     most = setting[data.DELTA_MAX] if whole >= 0 else math.inf
     most_stale = setting[data.DELTA_MAX] if whole >= 1 else math.inf
-    immediate = setting[data.LAG] == 0.0 and setting[data.RATE_MAX] == math.inf and setting[data.HELD] == 0.0
     split = setting[data.DELAY_PART] > 0.0
     w[newest] = w[data.COMMAND]
     w[data.LAST_COMMAND] = w[data.COMMAND]
@@ -268,7 +275,7 @@ def begin_sample(setting, w, k):
     w[data.YIELDING] = select(young != w[data.YOUNG_COMMAND], 1.0, 0.0)
     old = min(max(w[data.OLD_COMMAND], -most_stale), most_stale)
     w[data.YOUNG_COMMAND], w[data.OLD_COMMAND] = young, old
-    w[data.DELTA_START] = select(immediate, select(split, old, young), w[data.WHEEL])
+    w[data.DELTA_START] = select(setting[data.IMMEDIATE] > 0.0, select(split, old, young), w[data.WHEEL])
 
 
 @numba.njit(**OPTIONS)
@@ -323,7 +330,7 @@ def begin_substep(setting, w, j, ramps):
 @numba.njit(**OPTIONS)
 def end_piece(setting, w, k):
     """Frames and scores of the pieces that end here; the next ones begin."""
-    if setting[data.CAMERA] > 0.0:
+    if setting[data.FRAMES_BETWEEN] > 0.0:
         sight.take_between(setting, k, w)
     if _score(setting, w):
         for l in range(L):
@@ -377,7 +384,10 @@ def advance(setting, w, k, road, segment, end, bend, bend_row, intended, intende
     if setting[data.HELD] > 0.0:
         driver.begin_sample(setting, w, k, intended, intended_row)
     point = segment + HEADER
-    _accelerations(setting, w, road[point], road[point + 1], road[point + 2], w[data.DELTA_START], data.A_Y_START)
+    # a steering angle that does not jump leaves a_y as it was
+    w[data.A_Y_START], w[data.A_Y_RELATIVE_START] = w[data.A_Y_END], w[data.A_Y_RELATIVE_END]
+    if setting[data.IMMEDIATE] > 0.0:
+        _accelerations(setting, w, road[point], road[point + 1], road[point + 2], w[data.DELTA_START], data.A_Y_START)
     correct_paths(w, paths)
     while segment < end:
         point = _drive_segment(setting, w, k, road, segment)
@@ -493,8 +503,8 @@ def start(scene, setting, block, w, paths, path_rows):
     w[data.V_Y] = fma(-v, psi, rate)
     if setting[data.SATURATING] > 0.0:
         w[data.V_Y] = fma(-v, sine_psi, rate) / cosine_psi
-    _accelerations(setting, w, v, 1.0 / v, lane, w[data.WHEEL], data.A_Y_START)
-    w[data.A_Y_BEFORE] = w[data.A_Y_START]
+    _accelerations(setting, w, v, 1.0 / v, lane, w[data.WHEEL], data.A_Y_END)
+    w[data.A_Y_BEFORE] = w[data.A_Y_END]
 
 
 @numba.njit(**OPTIONS)
