@@ -28,6 +28,7 @@ LEVELS = (
         "ldctoolkit.compiling",
         "ldctoolkit.errors",
         "ldctoolkit.vector_math",
+        "ldctoolkit.lanes",
         "ldctoolkit.numba_internals",
         "ldctoolkit.surroundings",
         "ldctoolkit.version",

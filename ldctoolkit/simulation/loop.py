@@ -511,8 +511,9 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
         blocks = np.unique(rows // LANES)
 
         def work(first: int, last: int) -> None:
-            most = int(steps[blocks[first] * LANES : (blocks[last - 1] + 1) * LANES].max())
-            work = entry.scratch(setting, table, lookaheads, most, float(scene[:, data.SUBSTEPS].max()))
+            rows = (blocks[first:last, None] * LANES + np.arange(LANES)).ravel()
+            most = int(steps[rows[rows < m]].max(initial=0))
+            work = entry.scratch(setting, table, lookaheads, most, float(scene[:, data.SUBSTEPS].max(initial=1.0)))
             out = score, diverged, failed, work, np.zeros(most + 1, dtype=np.int64)
             inputs = scene, setting, table, times, bend, takeover.recorded_steering, paths, path_row
             entry.drive_any(*inputs, blocks[first:last], *out)
@@ -527,7 +528,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
         exact_path_row[stiff], path_row[stiff.size :] = -1, -1  # a block may hold rows of both kinds
 
         def work(first: int, last: int) -> None:
-            most = int(steps[first * LANES : last * LANES].max())
+            most = int(steps[first * LANES : last * LANES].max(initial=0))
             out = score, diverged, failed, entry.scratch(setting, table, lookaheads, most)
             inputs = scene, exact, setting, table, times, bend, paths, exact_path_row
             entry.drive_lanes(*inputs, first, last, *out)

@@ -144,7 +144,7 @@ _SPEED_STEP = 1e-4  # [s] Step of the difference quotient of the recorded speed
 
 # Longest substep of the Runge-Kutta method, in units of the fastest time constant; where tyres saturate, the loop takes
 # shorter ones by itself
-_REACH, _REACH_OF_TYRES = 0.25, 0.4
+_REACH, _REACH_OF_TYRES = 0.25, 0.3
 
 
 @dataclasses.dataclass(frozen=True)

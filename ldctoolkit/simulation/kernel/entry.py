@@ -213,7 +213,9 @@ def sample_scratch(setting: FloatArray, lookaheads: int, substeps: float) -> Flo
 
 
 def _road_rows(setting: FloatArray, samples: int, substeps: float) -> int:
-    """Rows of the road of so many samples, of which each lane cuts one by its T and one by its end."""
-    segments = (2 if setting[data.DELAY_PART] else 1) * samples + min(samples, LANES) * (1 + 1)
-    # each segment may have a substep more than its share
-    return segments * (HEADER + 3 * POINT) + math.ceil(substeps + 1.0) * samples * 2 * POINT + segments * 2 * POINT
+    """Rows of the road of so many samples; where a lane is cut by its T, either part may be a whole sample of another."""
+    cut = min(samples, LANES)
+    segments = (2 if setting[data.DELAY_PART] else 1) * samples + cut
+    # each segment has at most a substep more than its share
+    parts = math.ceil(substeps) * (samples + 2 * cut) + segments
+    return segments * (HEADER + POINT) + 2 * POINT * parts

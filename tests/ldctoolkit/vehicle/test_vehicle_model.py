@@ -15,6 +15,7 @@ from helpers.errors import refused
 from helpers.vehicle_models import PARAMETERS, Bicycle, Drift, MultiBody, NumPyBicycle, SelfDriven
 from ldctoolkit import Actuator, EventStatus, KalmanFilter, PlantOptions, Scenarios, Sensors, Setup, Tyres, simulate
 from ldctoolkit.errors import LdcError
+from ldctoolkit.simulation import takeover
 from ldctoolkit.studies.catalog.my_car import Car
 from ldctoolkit.testing import ContractError, check_vehicle_model
 from ldctoolkit.vehicle import RecordedTurn
@@ -43,8 +44,12 @@ def departures(v: float, n: int = 60, seed: int = 0) -> Scenarios:
 
 @pytest.mark.parametrize("options", DRIVEN)
 @pytest.mark.parametrize(("v", "mu"), [(6.0, 0.9), (25.0, 0.25), (60.0, 0.3)])
-def test_the_bicycle_of_ones_own_scores_like_the_built_in_one(v: float, mu: float, options: str) -> None:
-    """At low and high speed, in bends and on tyres beyond their peak, for laws of either kind."""
+def test_the_bicycle_of_ones_own_scores_like_the_built_in_one(
+    v: float, mu: float, options: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At low and high speed, in bends and on tyres beyond their peak, for laws of either kind; both with short steps."""
+    for reach in ("_REACH", "_REACH_OF_TYRES"):
+        monkeypatch.setattr(takeover, reach, 1.0 / 16.0)
     setup = Setup(options=PlantOptions(tyres=Tyres(model="magic_formula", mu=mu), **DRIVEN[options]))
     own = dataclasses.replace(setup, vehicle_model=Bicycle(mu=mu))
     for law in (ldc.LQR(), ldc.PID()):
