@@ -133,10 +133,10 @@ _operator(math.copysign, _lanes, lambda builder, a, b: _called(builder, "copysig
 # the second one where a number is NaN
 _operator(max, _lanes, lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b))
 _operator(min, _lanes, lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b))
-for _function, _sign in (
+for _compare, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
 ):  # fmt: skip
-    _operator(_function, _mask, lambda builder, a, b, sign=_sign: builder.fcmp_ordered(sign, a, b))
+    _operator(_compare, _mask, lambda builder, a, b, sign=_sign: builder.fcmp_ordered(sign, a, b))
 _operator(operator.ne, _mask, lambda builder, a, b: builder.fcmp_unordered("!=", a, b))
 for _and, _or in ((operator.and_, operator.or_), (operator.iand, operator.ior)):
     _logic(_and, lambda builder, a, b: builder.and_(a, b))

@@ -213,7 +213,7 @@ def sample_scratch(setting: FloatArray, lookaheads: int, substeps: float) -> Flo
 
 
 def _road_rows(setting: FloatArray, samples: int, substeps: float) -> int:
-    """Rows of the road of so many samples; where a lane is cut by its T, either part may be a whole sample of another."""
+    """Rows of the road of so many samples; where T cuts a lane, either part may be a whole sample of another."""
     cut = min(samples, LANES)
     segments = (2 if setting[data.DELAY_PART] else 1) * samples + cut
     # each segment has at most a substep more than its share

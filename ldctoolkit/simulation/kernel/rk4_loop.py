@@ -26,8 +26,8 @@ from ldctoolkit.simulation.kernel.road import HEADER, IN_T, POINT, lay_road, mot
 from ldctoolkit.vector_math import NEAR, arctan, arctan_near, cosine, sine_and_cosine, touches, tyre_force
 from ldctoolkit.vehicle.bicycle import GRAVITY
 
-# shorter steps where an argument of a tyre's formula is beyond so much, and the slopes in the middle of a step differ by
-# more than so much [m/s^2, rad/s^2]
+# shorter steps where an argument of a tyre's formula is beyond so much, and the slopes in the middle of a step differ
+# by more than so much [m/s^2, rad/s^2]
 _PARTS: Final = 4
 _USED: Final = 0.3
 _UNEVEN: Final = 0.001

@@ -47,7 +47,7 @@ def departures(v: float, n: int = 60, seed: int = 0) -> Scenarios:
 def test_the_bicycle_of_ones_own_scores_like_the_built_in_one(
     v: float, mu: float, options: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At low and high speed, in bends and on tyres beyond their peak, for laws of either kind; both with short steps."""
+    """At low and high speed, in bends, on tyres beyond their peak, for laws of either kind; both with short steps."""
     for reach in ("_REACH", "_REACH_OF_TYRES"):
         monkeypatch.setattr(takeover, reach, 1.0 / 16.0)
     setup = Setup(options=PlantOptions(tyres=Tyres(model="magic_formula", mu=mu), **DRIVEN[options]))
@@ -55,7 +55,7 @@ def test_the_bicycle_of_ones_own_scores_like_the_built_in_one(
     for law in (ldc.LQR(), ldc.PID()):
         expected, outcome = (simulate(law, departures(v), y_s=0.1, setup=s) for s in (setup, own))
         np.testing.assert_array_equal(outcome.status, expected.status)
-        np.testing.assert_allclose(outcome.S, expected.S, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(outcome.S, expected.S, rtol=0, atol=5e-6)
         for name in ("deepest", "dtle", "a_y_peak", "jerk_peak", "delta_peak", "effort", "travel", "t_back"):
             np.testing.assert_allclose(
                 getattr(outcome.metrics, name), getattr(expected.metrics, name), rtol=1e-3, atol=1e-4
