@@ -583,7 +583,8 @@ def _drive_general(
         if solved is not None:
             check_calls(solved, t.size, name)
             solved = solved.of(active)
-            calls.append((np.arange(m)[batch][solved.position], sample, solved))
+            if solved.position.size:
+                calls.append((np.arange(m)[batch][solved.position], sample, solved))
         wrong = ~np.isfinite(delta)
         if wrong.any() or status.any():
             delta[wrong] = previous[wrong]
