@@ -42,30 +42,48 @@ def decided(
     mpc: Condensed, limits: Limits, i: int, x: FloatArray, sent: FloatArray, r: FloatArray, lateral: FloatArray
 ) -> None:
     """Move the state x (m,) to where the next command arrives, in place; a_y on the way into `lateral` (3, .)."""
-    for k in range(limits.delay):
-        _go_on(mpc, i, x, sent[1 + k], r[k], r[k + 1], limits.window + k, lateral)
+    go_on(mpc, i, x, sent[1:], r, limits.delay, limits.window, lateral)
 
 
 @numba.njit(**OPTIONS)
-def _go_on(
-    mpc: Condensed, i: int, x: FloatArray, u: float, r_0: float, r_1: float, sample: int, lateral: FloatArray
+def go_on(
+    mpc: Condensed, i: int, x: FloatArray, u: FloatArray, r: FloatArray, count: int, sample: int, lateral: FloatArray
 ) -> None:
-    """One step x+ = A x + B u + E_0 r_0 + E_1 r_1, in place; a_y = a (x, u, r) just after its start, and at its end."""
-    A, B, E_0, E_1, a, after = mpc.A[i], mpc.B[i], mpc.E_0[i], mpc.E_1[i], mpc.a[i], lateral[2]
-    m = x.size
-    value = 0.0
-    for k in range(m):
-        value += a[k] * x[k]
-        total = B[k] * u + E_0[k] * r_0 + E_1[k] * r_1
-        for b in range(m):
-            total += A[k, b] * x[b]
-        after[k] = total
-    lateral[1, sample] = value + a[m] * u + a[m + 1] * r_0
-    value = 0.0
-    for k in range(m):
-        x[k] = after[k]
-        value += a[k] * x[k]
-    lateral[0, sample + 1] = value + a[m] * u + a[m + 1] * r_1
+    """Steps x+ = A x + B u + E_0 r_0 + E_1 r_1, in place; a_y = a (x, u, r) just after their starts, and at their ends.
+
+    After step j, e_y is in ``lateral[2, j]``.
+    """
+    if x.size == 5:
+        _go_on(mpc, i, x, u, r, count, sample, lateral, 5)
+    elif x.size == 6:
+        _go_on(mpc, i, x, u, r, count, sample, lateral, 6)
+    else:
+        _go_on(mpc, i, x, u, r, count, sample, lateral, x.size)
+
+
+# with a number of states that the compiler knows, loops over them are unrolled: three times as fast
+@numba.njit(forceinline=True, **OPTIONS)
+def _go_on(
+    mpc: Condensed, i: int, x: FloatArray, u: FloatArray, r: FloatArray, count: int, sample: int, lateral: FloatArray,
+    m: int,
+) -> None:  # fmt: skip
+    A, B, E_0, E_1, a = mpc.A[i], mpc.B[i], mpc.E_0[i], mpc.E_1[i], mpc.a[i]
+    after = np.empty(m)
+    for j in range(count):
+        value = 0.0
+        for k in range(m):
+            value += a[k] * x[k]
+            total = B[k] * u[j] + E_0[k] * r[j] + E_1[k] * r[j + 1]
+            for b in range(m):
+                total += A[k, b] * x[b]
+            after[k] = total
+        lateral[1, sample + j] = value + a[m] * u[j] + a[m + 1] * r[j]
+        value = 0.0
+        for k in range(m):
+            x[k] = after[k]
+            value += a[k] * x[k]
+        lateral[0, sample + j + 1] = value + a[m] * u[j] + a[m + 1] * r[j + 1]
+        lateral[2, j] = x[0]
 
 
 @numba.njit(**OPTIONS)
@@ -118,10 +136,10 @@ def _soft_values(
         low[row], high[row] = -1.0, 1.0
     acceleration, jerk, offset = limits.scale
     now = limits.window + limits.delay
-    for j in range(N):
-        _go_on(mpc, i, x, U[j], r[j], r[j + 1], now + j, lateral)
-        if offset > 0.0:
-            y[y.size - N + j] = x[0] * offset
+    go_on(mpc, i, x, U, r, N, now, lateral)
+    if offset > 0.0:
+        for j in range(N):
+            y[y.size - N + j] = lateral[2, j] * offset
     if acceleration > 0.0:
         for side in range(2 - limits.sides, 2):
             for j in range(N):
@@ -392,32 +410,6 @@ FREE, HELD, OPEN, BEYOND = range(4)
 
 
 @numba.njit(**OPTIONS)
-def plan_of_four(mpc: Condensed, i: int, x: FloatArray, r: FloatArray, U: FloatArray, work: FloatArray) -> None:
-    """`plan` with four states, unrolled: three times as fast."""
-    N = U.size
-    A, B, K, D, PD, back = mpc.A_cl[i], mpc.B[i], mpc.K[i], mpc.D[i], mpc.PD[i], mpc.back[i]
-    g0 = g1 = g2 = g3 = 0.0
-    for j in range(N - 1, -1, -1):
-        d = r[j + 1] - r[j]
-        h0 = PD[0] * d + A[0, 0] * g0 + A[1, 0] * g1 + A[2, 0] * g2 + A[3, 0] * g3
-        h1 = PD[1] * d + A[0, 1] * g0 + A[1, 1] * g1 + A[2, 1] * g2 + A[3, 1] * g3
-        h2 = PD[2] * d + A[0, 2] * g0 + A[1, 2] * g1 + A[2, 2] * g2 + A[3, 2] * g3
-        h3 = PD[3] * d + A[0, 3] * g0 + A[1, 3] * g1 + A[2, 3] * g2 + A[3, 3] * g3
-        g0, g1, g2, g3 = h0, h1, h2, h3
-        work[j] = back[0] * g0 + back[1] * g1 + back[2] * g2 + back[3] * g3
-    z0, z1, z2, z3 = x[0], x[1], x[2] - mpc.x_ss[i, 2] * r[0], x[3]
-    half = 0.5 * mpc.delta_ss[i]
-    for j in range(N):
-        d, f = r[j + 1] - r[j], work[j]
-        U[j] = f - (K[0] * z0 + K[1] * z1 + K[2] * z2 + K[3] * z3) + half * (r[j] + r[j + 1])
-        y0 = A[0, 0] * z0 + A[0, 1] * z1 + A[0, 2] * z2 + A[0, 3] * z3 + B[0] * f + D[0] * d
-        y1 = A[1, 0] * z0 + A[1, 1] * z1 + A[1, 2] * z2 + A[1, 3] * z3 + B[1] * f + D[1] * d
-        y2 = A[2, 0] * z0 + A[2, 1] * z1 + A[2, 2] * z2 + A[2, 3] * z3 + B[2] * f + D[2] * d
-        y3 = A[3, 0] * z0 + A[3, 1] * z1 + A[3, 2] * z2 + A[3, 3] * z3 + B[3] * f + D[3] * d
-        z0, z1, z2, z3 = y0, y1, y2, y3
-
-
-@numba.njit(**OPTIONS)
 def plan(
     mpc: Condensed, i: int, x: FloatArray, r: FloatArray, U: FloatArray, work: FloatArray, costate: FloatArray
 ) -> None:
@@ -425,7 +417,21 @@ def plan(
 
     work (N,) and costate (2, m) are scratch.
     """
-    N, m = U.size, x.size
+    if x.size == 4:
+        _plan(mpc, i, x, r, U, work, costate, 4)
+    elif x.size == 5:
+        _plan(mpc, i, x, r, U, work, costate, 5)
+    elif x.size == 6:
+        _plan(mpc, i, x, r, U, work, costate, 6)
+    else:
+        _plan(mpc, i, x, r, U, work, costate, x.size)
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _plan(
+    mpc: Condensed, i: int, x: FloatArray, r: FloatArray, U: FloatArray, work: FloatArray, costate: FloatArray, m: int
+) -> None:
+    N = U.size
     A, B, K, D, PD, back, x_ss = mpc.A_cl[i], mpc.B[i], mpc.K[i], mpc.D[i], mpc.PD[i], mpc.back[i], mpc.x_ss[i]
     g, h = costate[0], costate[1]
     for k in range(m):
@@ -535,10 +541,7 @@ def sweep(
         if limits.delay > 0:
             decided(mpc, limits, i, x, sent[i], r_all[i], lateral)
         r = r_all[i, limits.delay :]
-        if x.size == 4:
-            plan_of_four(mpc, i, x, r, U[i], work)
-        else:
-            plan(mpc, i, x, r, U[i], work, costate)
+        plan(mpc, i, x, r, U[i], work, costate)
         if M < N:
             block(mpc, limits, i, U[i], work)
         delta[i] = U[i, 0]

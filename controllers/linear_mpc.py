@@ -422,8 +422,9 @@ class MPCLaw(SteeringLaw):
 
     def _initial_state(self, x: FloatArray, r: FloatArray, delta_prev: FloatArray, state: MPCState) -> InitialState:
         """What the QPs start from; before the first sample the command was what it is at the trigger."""
-        sent = np.column_stack([state.sent[:, 1:], delta_prev])
-        sent = np.where(np.isnan(sent), delta_prev[:, None], sent)
+        sent = np.concatenate([state.sent[:, 1:], delta_prev[:, None]], axis=1)
+        if np.isnan(sent).any():
+            sent = np.where(np.isnan(sent), delta_prev[:, None], sent)
         m = self.condensed.B.shape[1]
         full = np.empty((x.shape[0], m))
         full[:, :4], full[:, 4:] = x, sent[:, :1]
@@ -433,8 +434,9 @@ class MPCLaw(SteeringLaw):
         past = np.empty((x.shape[0], 2, 0))
         if self.limits.window:
             now = self._acceleration(full, sent[:, 0], r)[:, None, None]
-            past = np.concatenate([state.past, np.tile(now, (1, 2, 1))], axis=2)
-            past = np.where(np.isnan(past), now, past)
+            past = np.concatenate([state.past, now.repeat(2, axis=1)], axis=2)
+            if np.isnan(past).any():
+                past = np.where(np.isnan(past), now, past)
         return InitialState(full, delta_prev, sent, np.ascontiguousarray(r), past)
 
     def _acceleration(self, x: FloatArray, u: FloatArray, r: FloatArray) -> FloatArray:
@@ -524,7 +526,13 @@ def _call(place: int, qp: QP, low: FloatArray, high: FloatArray, answer: Answer)
     return _Call(place, primal <= _ACCEPTED, answer.iterations, primal, dual)
 
 
+_NONE: Final = np.zeros(0, dtype=np.int64)
+_NO_CALLS: Final = SolverCalls(_NONE, _NONE, _NONE, np.zeros(0), np.zeros(0))
+
+
 def _calls(calls: list[_Call]) -> SolverCalls:
+    if not calls:
+        return _NO_CALLS
     table = np.array(calls, dtype=np.float64).reshape(-1, 5)
     place, status, iterations = table[:, :3].T.astype(np.int64)
     return SolverCalls(place, status, iterations, table[:, 3], table[:, 4])

@@ -175,6 +175,8 @@ class SolverCalls:
 
     def of(self, positions: IntArray) -> SolverCalls:
         """The calls of the scenarios at `positions` in the batch."""
+        if not self.position.size:
+            return self
         rows = np.isin(self.position, positions)
         return SolverCalls(**{field.name: getattr(self, field.name)[rows] for field in dataclasses.fields(self)})
 

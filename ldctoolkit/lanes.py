@@ -35,17 +35,17 @@ _BITS: Final = ir.VectorType(ir.IntType(1), LANES)
 _INDEX: Final = ir.IntType(64)
 
 
-class _Lanes(types.Type):  # type: ignore[name-defined]
+class _Lanes(types.Type):
     def __init__(self) -> None:
         super().__init__(name="Lanes")
 
 
-class _Mask(types.Type):  # type: ignore[name-defined]
+class _Mask(types.Type):
     def __init__(self) -> None:
         super().__init__(name="LanesMask")
 
 
-class _Table(types.Type):  # type: ignore[name-defined]
+class _Table(types.Type):
     def __init__(self) -> None:
         super().__init__(name="LanesTable")
 

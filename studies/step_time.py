@@ -33,23 +33,28 @@ def step_times(results: StudyResults, setup: Setup, designs: Sequence[Design], f
 
     def measure() -> Arrays:
         scenarios = results.scenarios.take(results.drivable)
-        overs = {y_s: Takeover.build(scenarios, setup, y_s=y_s) for y_s in {design.y_s for design in timed}}
-        return {design.id: np.array(list(_seconds(design, overs[design.y_s]))) for design in timed}
+        singles = {y_s: _singles(Takeover.build(scenarios, setup, y_s=y_s), y_s) for y_s in {d.y_s for d in timed}}
+        return {design.id: np.array(list(_seconds(design, singles[design.y_s]))) for design in timed}
 
     seconds = remembered(folder, "step-times", [design.id for design in timed], measure)
     return {id: (float(np.median(of)), float(np.quantile(of, 0.99))) for id, of in seconds.items() if of.size}
 
 
-def _seconds(design: Design, over: Takeover) -> Iterator[float]:
-    """Seconds of single steps, on departures spread over those that trigger.
+def _singles(over: Takeover, y_s: float) -> list[Takeover]:
+    """Departures spread over those that trigger, each alone."""
+    rows = np.unique(np.linspace(0, over.m - 1, min(_DEPARTURES, over.m)).astype(np.int64))
+    return [Takeover.build(over.scenarios.take(over.rows[[row]]), over.setup, y_s=y_s) for row in rows]
+
+
+def _seconds(design: Design, singles: Sequence[Takeover]) -> Iterator[float]:
+    """Seconds of single steps.
 
     Each is driven twice, and the shorter time of a step counts: loading code, and what else a machine does, is not the
     law's.
     """
     count, spent = 0, 0.0
-    for row in np.unique(np.linspace(0, over.m - 1, min(_DEPARTURES, over.m)).astype(np.int64)):
-        single = Takeover.build(over.scenarios.take(over.rows[[row]]), over.setup, y_s=design.y_s)
-        runs = [drive_each([design], single, over.setup.convention)[0] for _ in range(2)]
+    for single in singles:
+        runs = [drive_each([design], single, single.setup.convention)[0] for _ in range(2)]
         twice = [run.step_seconds for run in runs if not isinstance(run, str)]
         most = min(map(len, twice)) if len(twice) == 2 else 0  # of a law that is not the same twice
         yield from np.minimum(*(seconds[:most] for seconds in twice)).tolist() if most else ()

@@ -592,7 +592,8 @@ def _drive_general(
         if solved is not None:
             check_calls(solved, start.size, name)
             solved = solved.of(np.flatnonzero(going))
-            calls.append((np.arange(m)[batch][solved.position], sample, solved))
+            if solved.position.size:
+                calls.append((np.arange(m)[batch][solved.position], sample, solved))
         right = np.isfinite(delta)
         if status.any() or not right.all():
             delta = np.where(right, delta, last[batch])

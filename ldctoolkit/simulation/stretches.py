@@ -63,7 +63,7 @@ class Stretch:
             return np.full((self.rows.stop - self.rows.start, 2), np.nan)
 
         def lanes(row: int) -> FloatArray:
-            return self.state[:, row].ravel()[: self.rows.stop - self.rows.start]
+            return self.state[:, row]
 
         # x = x_predicted + K innovation, and the innovation is frame - x_predicted
         innovation, gain = [lanes(data.INNOVATION_Y), lanes(data.INNOVATION_PSI)], data.FILTER_ROWS + data.GAIN
@@ -71,7 +71,7 @@ class Stretch:
         for i, seen in enumerate((data.SEEN_E_Y, data.SEEN_E_PSI)):
             K = [lanes(gain + 4 * i + j) for j in range(2)]
             frame.append(lanes(seen) - K[0] * innovation[0] - K[1] * innovation[1] + innovation[i])
-        return np.stack(frame, axis=1)
+        return np.stack(frame, axis=-1).reshape(-1, 2)[: self.rows.stop - self.rows.start]
 
     def go_on(self, k: int, command: FloatArray, alive: BoolArray) -> None:
         """Drive to the next sample with the commands (m,); whether each scenario goes on into `alive` (m,)."""
