@@ -95,7 +95,9 @@ def lay_road(setting, k, w, points, road, to):
             road[to + row] = w[data.SEGMENT_LENGTH + row]
         to += HEADER
         for j in range(2 * int(largest(parts)) + 1 if points else 0):
-            t = w[data.T_0] + k * dt + (first + min(0.5 * j * w[data.SUBSTEP_LENGTH], length))
+            # the end is one number, however the segments of the block are cut
+            within = select(2.0 * parts > j, fma(0.5 * j, w[data.SUBSTEP_LENGTH], first), last)
+            t = w[data.T_0] + k * dt + within
             v, _, lane = motion_at(setting, w, t)
             road[to], road[to + 1], road[to + 2] = v, 1.0 / v, lane
             to += POINT
