@@ -17,7 +17,7 @@ _MOST_PASSES: Final = 40
 _NEAR: Final = 1e-6  # Error of a zero, in parts of the piece; what it costs an integral is its square
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def quartic_root(f_0, m_0, f_1, m_1, mean):
     """Root between 0 and 1 of the quartic with these ends, of opposite signs, slopes and mean."""
     q = 30.0 * (mean - 0.5 * (f_0 + f_1) - (m_0 - m_1) / 12.0)
@@ -86,7 +86,7 @@ def absolute_area(x_0, x_1, n_0, n_1, area, h):
     return h * (abs(to_first) + abs(to_last - to_first) + abs(mean - to_last))
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def touches(e_0, rate_0, e_1, rate_1, h):
     """Whether a path with both ends on one side turns so close to zero in between that it may reach over."""
     turns = (e_0 * e_1 >= 0.0) & (e_0 * rate_0 < 0.0) & (e_1 * rate_1 > 0.0)

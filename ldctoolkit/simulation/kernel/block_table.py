@@ -26,7 +26,7 @@ SAME: Final = 1e-9  # Parts of a sample that are rounding
 ACTIVE: Final = float(AssistState.ACTIVE)
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def length_of(setting, w, l, k):
     """Length of sample k, and how much of it lies before T."""
     full, rest, steps = w[data.WHOLE_STEPS, l], w[data.REST_OF_T, l], w[data.ALL_STEPS, l]
@@ -123,7 +123,7 @@ def rings(setting):
     return frames, limits, modes, modes + int(setting[data.MODES])
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def _past(setting, position, left):
     """Rows of a past position in samples, in the ring, and the share of the second; -1 for before the trigger.
 
@@ -149,7 +149,7 @@ def _before(setting, w, l, position, left, n):
     return w[start + 2 * n, l] + share * (w[end + 2 * n, l] - w[start + 2 * n, l])
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def look_back(setting, w, k):
     """Put a_y of sample k into the ring, and a_y a jerk window earlier into the rows from `A_Y_START_PAST` on."""
     _, limits, _, _ = rings(setting)

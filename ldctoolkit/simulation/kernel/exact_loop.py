@@ -60,12 +60,12 @@ def _leave(setting, w, l):
 # ------------------------------------------------------------------------------------------------ a step of every lane
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def _lane_rate(w, l, t):
     return fma(w[data.V_DC, l], min(t * w[data.PER_T, l], 1.0), w[data.V_C_0, l])
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def _lane_factors(T, per_T, t, lookahead):
     """Factors of v dc in the lane's yaw rate at t + lookahead, min(t + lookahead, T)/T, and in its turn until then."""
     t_1 = t + lookahead
@@ -85,19 +85,19 @@ def _add_preview(setting, times, design, k, w, lane_weights):
         w[data.COMMAND] = fma(lane_weights[2 * j + 1], fma(dc, turn, c_0 * lookahead), d)
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def _three(w, row, x, y, z):
     """Product of three rows with a state's rates."""
     return fma(w[row], x, fma(w[row + 1], y, w[row + 2] * z))
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def _driven(w, n, value, d, r_0, r_1):
     """The n-th state after a step: what comes from the state before, and from the inputs."""
     return fma(w[data.STEP_B + n], d, fma(w[data.STEP_E_0 + n], r_0, fma(w[data.STEP_E_1 + n], r_1, value)))
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def _step(setting, k, lookahead, w):
     """Command and one whole step of every lane; True if an event happens in one.
 
@@ -156,7 +156,7 @@ def _step(setting, k, lookahead, w):
     return any_lane(event | wrong)
 
 
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def _score(setting, w):
     """Scores of a step in every lane but acceleration and jerk; `single` lanes have theirs but for the rate."""
     dt, l_f = setting[data.DT], setting[data.L_FRONT]
