@@ -87,7 +87,12 @@ class TrueVehicles:
         across = bend - yaw_error * v - dv * rate / v
         v_y = self.l_r * omega - (v * omega + across) * v * self.m * (self.l_f / (2.0 * wheelbase)) / self.C_ar
         grip = self.mu * GRAVITY
-        for _ in range(_NEWTON_STEPS):
+        gap = astray = np.zeros_like(v)
+        for step in range(_NEWTON_STEPS + 2 * _ITERATIONS):
+            if step == _NEWTON_STEPS:  # close to the friction a few of Newton's steps may go to and fro
+                astray = np.where(np.abs(gap) > _ASTRAY, 1.0, 0.0)
+                if not astray.any():
+                    break
             ahead = np.sqrt(np.maximum(v * v + v_y * v_y - rate * rate, _TINY * v * v))  # along the lane
             squared = ahead * ahead + rate * rate
             sine, cosine = (rate * v - v_y * ahead) / squared, (v * ahead + rate * v_y) / squared  # of e_psi
@@ -97,7 +102,7 @@ class TrueVehicles:
             angle, slope = slip(self.C_ar, self.l_f, share)
             behind = np.tan(angle)
             gap, gap_slope = v_y - self.l_r * omega + v * behind, v * (1.0 + behind * behind) * slope * share_slope
-            v_y = v_y - gap / np.maximum(1.0 + gap_slope, 0.5)
+            v_y = v_y - (gap / np.maximum(1.0 + gap_slope, 0.5) if step < _NEWTON_STEPS else astray * gap)
         # where no heading has this lateral speed, across the lane
         e_psi = np.arcsin(np.clip(rate / np.sqrt(v * v + v_y * v_y), -1.0, 1.0)) - np.arctan(v_y / v)
         if not steered:
@@ -109,6 +114,7 @@ class TrueVehicles:
 
 
 _NEWTON_STEPS = 4  # To rounding up to 0.95 of the friction
+_ASTRAY = 1e-3  # [m/s] of the lateral speed before the last step, beyond which Newton's method has not converged
 _TINY = 1e-12  # Share of the squared speed that is left along the lane at least
 _ITERATIONS = 8  # Fixed-point steps from the small steering angles to the large ones of saturating tyres
 _DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")  # Quantities with a factor, in the order of the random numbers
