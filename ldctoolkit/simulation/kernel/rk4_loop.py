@@ -1,14 +1,14 @@
-"""Any plant, eight scenarios side by side: fixed steps of the classical Runge-Kutta method, branch-free.
+"""Any plant, eight scenarios side by side: steps of the classical Runge-Kutta method.
 
 A sample is cut into segments where something jumps, at a command that arrives within it and at T; a segment into equal
-substeps, at most a quarter of the fastest time constant long. The steering angle is known in closed form along a
+substeps, at most 0.25 or 0.3 of the fastest time constant long, which a lane takes in shorter parts where its tyres are
+used and its slopes disagree. The steering angle is known in closed form along a
 segment, a ramp at the rate limit and then a decay with the lag; a substep sees the parabola with the same mean, first
 and second moment, so that neither the end of the ramp nor a lag far shorter than the substep costs accuracy. Scores are
 taken after pieces of at most `PIECE` substeps.
 
 Every lane does the same arithmetic, and a lane that needs fewer substeps than its neighbours goes on with length 0, so
-that the numbers of a scenario do not depend on its neighbours. A loop over the lanes is compiled into vector
-instructions if its body is long; a short one is unrolled instead, and its lanes are moved one by one.
+that the numbers of a scenario do not depend on its neighbours.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
