@@ -641,7 +641,9 @@ def order_statistics(n: npt.ArrayLike, share: float, level: float) -> tuple[IntA
         """Of the number of values below it: the smallest count that so many are at most with this probability."""
         near = np.ceil(np.nan_to_num(bdtrik(end, n, share)))  # NaN of no values
         lower = np.maximum(near - 1.0, 0.0)
-        result: IntArray = np.where(bdtr(lower, n, share) >= end, lower, near).astype(np.int64)
+        result: IntArray = np.where(bdtr(lower, np.asarray(n, dtype=np.int64), share) >= end, lower, near).astype(
+            np.int64
+        )
         return result
 
     outside = (1.0 - level) / 2.0
