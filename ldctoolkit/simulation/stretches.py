@@ -171,7 +171,7 @@ class ModelStretch(Stretch):
                     self._exchange(work, data.ASK_STEP, *call, work.result)
                     self._step(work, some[using])
                     self._exchange(work, data.STEPPED, *call, work.result)
-                segment += data.ROAD // 4
+                segment += data.HEADER
                 rows = every[work.ends[: some.size] > segment]
                 if rows.size:
                     self._ask_a_y(work, data.ASK_CUT, k, segment, some, rows, command)
@@ -247,7 +247,7 @@ class _Workspace:
     def __init__(self, plant: ModelStretch) -> None:
         blocks, q = min(SCENARIOS_A_TASK // LANES, plant.parts.size), plant.own.shape[1]
         size = -(-blocks * LANES // TOGETHER) * TOGETHER
-        self.road, self.ends = np.zeros((blocks, data.ROAD, LANES)), np.zeros(blocks, dtype=np.int64)
+        self.road, self.ends = np.zeros((blocks, 4 * data.HEADER, LANES)), np.zeros(blocks, dtype=np.int64)
         self.ramps = np.zeros(blocks, dtype=np.bool_)
         self.e, self.result, self.a_y = np.ones((size, data.QUESTION)), np.zeros((size, 5)), np.zeros((size, 1))
         self.own, self.own_after = np.zeros((size, q)), np.zeros((size, q))

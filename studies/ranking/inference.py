@@ -639,14 +639,11 @@ def order_statistics(n: npt.ArrayLike, share: float, level: float) -> tuple[IntA
 
     def quantile(end: float) -> IntArray:
         """Of the number of values below it: the smallest count that so many are at most with this probability."""
-        near = np.ceil(np.nan_to_num(bdtrik(end, n, share)))  # NaN of no values
+        near = np.ceil(np.nan_to_num(bdtrik(end, trials, share)))  # NaN of no values
         lower = np.maximum(near - 1.0, 0.0)
-        result: IntArray = np.where(bdtr(lower, np.asarray(n, dtype=np.int64), share) >= end, lower, near).astype(
-            np.int64
-        )
-        return result
+        return np.asarray(np.where(bdtr(lower, trials, share) >= end, lower, near), dtype=np.int64)
 
-    outside = (1.0 - level) / 2.0
+    trials, outside = np.asarray(n, dtype=np.int64), (1.0 - level) / 2.0
     return quantile(outside), quantile(1.0 - outside) + 1
 
 

@@ -43,7 +43,7 @@ A_11, A_12, A_13, B_1, E_1 = range(17, 22)
 # true vehicle; PRINTED is 4 C_ar l_r/m where the printed matrix is meant
 C_AF, C_AR, L_F, L_R, MASS, I_Z, MU, PRINTED = range(22, 30)
 CURVATURE_BIAS: Final = 30  # [1/m] outward
-SUBSTEPS: Final = 31  # of the Runge-Kutta method in a segment
+SUBSTEPS: Final = 31  # least number of Runge-Kutta steps a sample, not rounded
 BEND: Final = 32  # 3 columns: y'' of the recorded path without residuals as a polynomial in t
 # a driver: what he means, as a position in `INTENTS`; share or stiffness [N m/rad]; reaction time [s]; lateral
 # acceleration outward, frequency of the return; steering angle and front force over the mass per lateral acceleration;
@@ -182,7 +182,7 @@ def _score(metric: str) -> int:
 # pieces of a sample on a vehicle model: what it is asked, and what follows from its answer
 ASK_AT_TRIGGER, AT_TRIGGER, ASK_COMMANDED, COMMANDED, ASK_STEP, STEPPED, ASK_CUT, AT_CUT, ASK_END, AT_END = range(10)
 QUESTION: Final = 17  # numbers that a model gets for a lane, see `kernel.model_loop`
-ROAD: Final = 4 * 10  # the road of a sample for them: segments without their substeps
+HEADER: Final = 10  # rows of a segment of the road without its substeps, see `kernel.road`; a sample has at most four
 
 AREA: Final = SCORE  # integral of |e_y| up to T
 DEEPEST: Final = _score("deepest")  # max of e_y up to T

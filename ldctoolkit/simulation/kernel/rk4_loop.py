@@ -40,7 +40,7 @@ _SPUN: Final = 1.5
 
 @numba.njit(forceinline=True, **OPTIONS)
 def _linear_forces(setting, w, v_y, turn, v, per_v, lane, delta):  # noqa: ARG001
-    """a_y and e_psi'' on linear tyres, dv_y/dt, and the front force over the mass.
+    """a_y and e_psi'' on linear tyres, dv_y/dt, the front force over the mass, and a number without use.
 
     With the lateral velocity v_y of the vehicle in its own frame and its yaw rate omega = de_psi/dt + r, of which the
     model lets the lane's part r jump along (Rajamani's eq. 2.45),
@@ -59,7 +59,7 @@ def _linear_forces(setting, w, v_y, turn, v, per_v, lane, delta):  # noqa: ARG00
 
 @numba.njit(forceinline=True, **OPTIONS)
 def _saturating_forces(setting, w, v_y, turn, v, per_v, lane, delta):
-    """The same on tyres that saturate (Pacejka's Magic Formula), for large angles.
+    """The same on tyres that saturate (Pacejka's Magic Formula), for large angles; last, the larger |B_i a_i|.
 
     With the slips a_f = delta - atan((v_y + l_f omega)/v), a_r = atan((l_r omega - v_y)/v),
 

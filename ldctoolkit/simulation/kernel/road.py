@@ -17,8 +17,8 @@ from ldctoolkit.vector_math import cosine, sine
 # a segment of the road, in this order: its length, whether it is before T and after the delay, substeps, the length of
 # one, what a lag leaves of a distance over both lengths, and the parabola of that over a substep; then two points a
 # substep and one: speed, 1/speed, yaw rate of the lane
-HEADER: Final = 10
-IN_T, SUBSTEPS = 1, 3
+HEADER: Final = data.HEADER
+IN_T: Final = 1
 POINT: Final = 3
 
 
@@ -55,12 +55,6 @@ def motion_at(setting, w, t):
     """Speed, its rate before T, and yaw rate of the lane at times t."""
     v, dv, _, _ = along(setting, w, t, False)
     return v, dv, v * fma(w[data.CURVATURE_RATE], min(t, w[data.T]), w[data.CURVATURE_0])
-
-
-@numba.njit(**OPTIONS)
-def size_of(road, segment):
-    """Rows of the segment from a row on."""
-    return HEADER + (2 * int(largest(road[segment + SUBSTEPS])) + 1) * POINT
 
 
 @numba.njit(**OPTIONS)

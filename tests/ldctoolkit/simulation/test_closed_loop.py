@@ -92,6 +92,7 @@ def test_a_departure_shorter_than_the_step() -> None:
     expected = reference.drive(
         reference.Path.of(scenarios, 0), preview_proportional(-0.005, -0.2, 2.0), y_s=0.2, dt=2.0
     )
+    # steps follow the length of what is driven, not that of the sample
     assert out.S[0] == pytest.approx(expected.S, abs=5e-7)
 
 
