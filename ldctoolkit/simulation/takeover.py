@@ -88,7 +88,7 @@ class TrueVehicles:
         v_y = self.l_r * omega - (v * omega + across) * v * self.m * (self.l_f / (2.0 * wheelbase)) / self.C_ar
         grip = self.mu * GRAVITY
         gap = astray = np.zeros_like(v)
-        for step in range(_NEWTON_STEPS + 2 * _ITERATIONS):
+        for step in range(_NEWTON_STEPS + 8 * _ITERATIONS):
             if step == _NEWTON_STEPS:  # close to the friction a few of Newton's steps may go to and fro
                 astray = np.where(np.abs(gap) > _ASTRAY, 1.0, 0.0)
                 if not astray.any():
