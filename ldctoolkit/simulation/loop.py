@@ -564,7 +564,7 @@ def _drive_general(
     state, unseen = law.init(m), np.zeros((2, m))
     linear = isinstance(law, LinearSteps) and law.measured  # whose time is not a law's own
     step_seconds: list[float] = []
-    sample, count = 0, m
+    sample, count = -1, m
     calls: list[tuple[IntArray, int, SolverCalls]] = []
     planned: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     while count:
@@ -572,11 +572,23 @@ def _drive_general(
         shown = [np.zeros((end, 4)), np.zeros((end, times.size)), np.zeros((end, times.size)), np.zeros(end)]
         shown += list(np.zeros((2, end)) if may_yield else unseen)
         for plant in plants:
-            plant.look(sample, times, *shown)
+            plant.go_on(sample, last, alive, times, shown)
+        sample += 1
+        going = alive[batch]
+        count_before, count = count, int(np.count_nonzero(going))
+        if not count:
+            break
+        if count < min(count_before, _DROP_BELOW * start.size):
+            active = np.flatnonzero(going)
+            rows_left = np.arange(m)[batch][active]
+            smaller = check_taken(law.take(active, state), count, name, times)
+            if smaller is not None:
+                law, state = smaller
+                end = int(rows_left[-1]) + 1
+                batch = slice(0, end) if end == count else rows_left
+                start, going = takeover.start[batch], alive[batch]
         frame = np.concatenate([plant.new_frame(sample) for plant in plants])[batch] if filtered else None
-        if not isinstance(batch, slice):
-            shown = [values[batch] for values in shown]
-        x, yaw_rate, heading, wheel, torque, yields = shown
+        x, yaw_rate, heading, wheel, torque, yields = (values[batch] for values in shown)
         preview = Preview(
             yaw_rate, heading, wheel, frame, torque if held else None, yields > 0.0 if may_yield else None
         )
@@ -600,20 +612,6 @@ def _drive_general(
             failed[batch] += going & (~right | (status == EventStatus.SOLVER_FAILED))
             beyond[batch] |= going & (status == EventStatus.BEYOND_DELTA_MAX)
         last[batch] = delta
-        for plant in plants:
-            plant.go_on(sample, last, alive)
-        sample += 1
-        going = alive[batch]
-        count_before, count = count, int(np.count_nonzero(going))
-        if 0 < count < min(count_before, _DROP_BELOW * start.size):
-            active = np.flatnonzero(going)
-            rows_left = np.arange(m)[batch][active]
-            smaller = check_taken(law.take(active, state), count, name, times)
-            if smaller is not None:
-                law, state = smaller
-                end = int(rows_left[-1]) + 1
-                batch = slice(0, end) if end == count else rows_left
-                start, going = takeover.start[batch], alive[batch]
     results = [plant.scores() for plant in plants]
     score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
     run = _run_of_scores(takeover, score, diverged, failed, np.array(step_seconds), kept)

@@ -6,7 +6,7 @@ between pieces of the same loop, for all scenarios of some blocks at once: actua
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
@@ -47,12 +47,22 @@ class Stretch:
         self.going = np.ones((self.blocks.size, LANES), dtype=np.bool_)  # lanes that go on
         entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
 
-    def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
-        """What the law sees: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle, driver's torque, and 1
-        where the assist yields (m,).
+    def go_on(
+        self, k: int, command: FloatArray, alive: BoolArray, times: FloatArray, shown: Sequence[FloatArray]
+    ) -> None:  # fmt: skip
+        """Drive sample k with the commands (m,), unless k is -1; whether each scenario goes on into `alive` (m,).
+
+        What the law then sees, into `shown`: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle,
+        driver's torque, and 1 where the assist yields (m,).
         """
-        work = self.entry.sample_scratch(self.setting, times.size, self.substeps)
-        self.entry.look(self.setting, self.state, work, k, self.blocks, times, *(values[self.rows] for values in shown))
+        commands, seen = command[self.rows], [values[self.rows] for values in shown]
+
+        def work(first: int, last: int) -> None:
+            self.sample(k, self.blocks[first:last], commands, times, seen)
+
+        in_threads(work, self.blocks.size, self.threads, SCENARIOS_A_TASK // LANES)
+        self.blocks = self.blocks[self.going[self.blocks].any(axis=1)]
+        alive[self.rows] = self.going.ravel()[: commands.size]
 
     def new_frame(self, k: int) -> FloatArray:
         """e_y and e_psi of the frame that the filter took in when it looked at sample k, (rows, 2); NaN without one."""
@@ -73,20 +83,6 @@ class Stretch:
             frame.append(lanes(seen) - K[0] * innovation[0] - K[1] * innovation[1] + innovation[i])
         return np.stack(frame, axis=-1).reshape(-1, 2)[: self.rows.stop - self.rows.start]
 
-    def go_on(self, k: int, command: FloatArray, alive: BoolArray) -> None:
-        """Drive to the next sample with the commands (m,); whether each scenario goes on into `alive` (m,)."""
-        commands = command[self.rows]
-
-        def work(first: int, last: int) -> None:
-            self.sample(k, self.blocks[first:last], commands)
-
-        in_threads(work, self.blocks.size, self.threads, SCENARIOS_A_TASK // LANES)
-        going = self.state[self.blocks, data.ALIVE] > 0.0
-        if not going.all():
-            self.going[self.blocks] = going
-            self.blocks = self.blocks[going.any(axis=1)]
-            alive[self.rows] = self.going.ravel()[: commands.size]
-
     def scores(self) -> tuple[FloatArray, BoolArray]:
         """Scores (columns, rows), and which scenarios diverged (rows,)."""
         count = self.rows.stop - self.rows.start
@@ -94,13 +90,17 @@ class Stretch:
         diverged = self.state[:, data.DIVERGED].ravel() > 0.0
         return score[:, :count], diverged[:count]
 
-    def sample(self, k: int, blocks: IntArray, command: FloatArray) -> None:
-        """Sample k of some blocks."""
-        work, tables = (
-            self.entry.sample_scratch(self.setting, 0, self.substeps),
-            (self.recorded, self.steering, self.paths),
+    def sample(
+        self, k: int, blocks: IntArray, command: FloatArray, times: FloatArray, seen: Sequence[FloatArray],
+        *, drives: bool = True,
+    ) -> None:  # fmt: skip
+        """Sample k of some blocks, and what the law sees then."""
+        work = self.entry.sample_scratch(self.setting, times.size, self.substeps)
+        tables = self.recorded, self.steering, self.paths
+        drives = drives and k >= 0
+        self.entry.go_on(
+            self.exact, self.setting, self.state, work, *tables, k, blocks, drives, command, self.going, times, *seen
         )
-        self.entry.go_on(self.exact, self.setting, self.state, work, *tables, k, blocks, command)
 
 
 def in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
@@ -157,10 +157,13 @@ class ModelStretch(Stretch):
         count = SCENARIOS_A_TASK // LANES
         return [blocks[first : first + count] for first in range(0, blocks.size, count)]
 
-    def sample(self, k: int, blocks: IntArray, command: FloatArray) -> None:
+    def sample(
+        self, k: int, blocks: IntArray, command: FloatArray, times: FloatArray, seen: Sequence[FloatArray],
+        *, drives: bool = False,
+    ) -> None:  # fmt: skip
         """Sample k of some blocks: segments, and in each as many substeps as a block needs."""
         work = self.free.pop() if self.free else _Workspace(self)
-        for some in self._pieces(blocks):
+        for some in self._pieces(blocks) if k >= 0 else []:
             every, parts, segment = np.arange(some.size), self.parts[some], 0
             self._ask_a_y(work, data.ASK_COMMANDED, k, 0, some, every, command)
             rows = every
@@ -177,6 +180,7 @@ class ModelStretch(Stretch):
                     self._ask_a_y(work, data.ASK_CUT, k, segment, some, rows, command)
             self._ask_a_y(work, data.ASK_END, k, 0, some, every, command)
         self.free.append(work)
+        super().sample(k, blocks, command, times, seen, drives=drives)
 
     def _exchange(
         self, work: _Workspace, phase: int, k: int, j: int, segment: int, blocks: IntArray, rows: IntArray,

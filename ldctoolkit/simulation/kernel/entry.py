@@ -67,52 +67,50 @@ def _entries(version: int) -> Any:
                 exact_loop.start(scene, exact, setting, block, w, paths, path_rows)
 
     @numba.njit(cache=True, **OPTIONS)
-    def look(setting, state, work, k, blocks, times, seen, yaw_rate, heading, wheel, torque, yielding):
-        """State, lane and wheel angle as the law sees them at sample k, of some blocks: (m, 4), twice (m, p), (m,); the
-        driver's torque, and whether the assist yields, (m,).
+    def go_on(
+        exact, setting, state, work, recorded, motion, paths, k, blocks, drives, command, going, times, seen,
+        yaw_rate, heading, wheel, torque, yielding,
+    ):  # fmt: skip
+        """Sample k of the scenarios of some blocks, then what the law sees after it while their tables are at hand.
+
+        If it `drives`, sample k with the commands (m,); exact steps where there are matrices. Which lanes go on into
+        `going` (blocks, lanes). Seen are state, lane and wheel angle, (m, 4), twice (m, p), (m,); the driver's torque,
+        and whether the assist yields, (m,).
         """
         if version < 0:
             return
-        setting, state, blocks = uncounted(setting), uncounted(state), uncounted(blocks)
+        exact, setting, state, blocks = uncounted(exact), uncounted(setting), uncounted(state), uncounted(blocks)
+        recorded, paths, command, motion = uncounted(recorded), uncounted(paths), uncounted(command), uncounted(motion)
         times, seen, yaw_rate, heading = uncounted(times), uncounted(seen), uncounted(yaw_rate), uncounted(heading)
-        wheel, torque, yielding = uncounted(wheel), uncounted(torque), uncounted(yielding)
-        noise = table(work)
-        preview = below(noise, 2)
+        wheel, torque, yielding, going = uncounted(wheel), uncounted(torque), uncounted(yielding), uncounted(going)
+        noise = bend = table(work)
+        intended, road, preview = below(bend, 4), below(bend, 11), below(noise, 2)
         for block in blocks:
-            w = table(state[block])
-            sight.preview_lane(setting, k, w, times, preview, 0)
-            sight.noise_of(setting, k, w, noise, 0)
-            sight.see(setting, w, k, preview, 0, noise, 0)
-            for l in range(min(LANES, seen.shape[0] - block * LANES)):
-                i = block * LANES + l
+            w, first = table(state[block]), block * LANES
+            if drives:
+                for l in range(min(LANES, command.shape[0] - first)):
+                    w[COMMAND, l] = command[first + l] if w[ALIVE, l] > 0.0 else 0.0
+                block_table.lay_bend(setting, recorded, block, k, w, bend, 0)
+                if exact.shape[1]:
+                    exact_loop.advance(exact, setting, w, k, 0.0, first, bend, 0, paths)
+                else:
+                    end = lay_road(setting, k, w, True, road, 0)
+                    if setting[data.HELD] > 0.0:
+                        driver.lay_recorded(setting, w, motion, block, k, intended, 0)
+                    rk4_loop.advance(setting, w, k, road, 0, end, bend, 0, intended, 0, paths)
+            sight.preview_lane(setting, k + 1, w, times, preview, 0)
+            sight.noise_of(setting, k + 1, w, noise, 0)
+            sight.see(setting, w, k + 1, preview, 0, noise, 0)
+            for l in range(LANES):
+                going[block, l] = w[ALIVE, l] > 0.0
+            for l in range(min(LANES, seen.shape[0] - first)):
+                i = first + l
                 if w[ALIVE, l] > 0.0:
                     for n in range(4):
                         seen[i, n] = w[SEEN_E_Y + n, l]
                     wheel[i], torque[i], yielding[i] = w[WHEEL_SEEN, l], w[data.TORQUE, l], w[data.YIELDING, l]
                     for j in range(times.shape[0]):
                         yaw_rate[i, j], heading[i, j] = preview[1 + 2 * j, l], preview[2 + 2 * j, l]
-
-    @numba.njit(cache=True, **OPTIONS)
-    def go_on(exact, setting, state, work, recorded, motion, paths, k, blocks, command):
-        """Sample k of the scenarios of some blocks with the commands (m,); exact steps where there are matrices."""
-        if version < 0:
-            return
-        exact, setting, state, blocks = uncounted(exact), uncounted(setting), uncounted(state), uncounted(blocks)
-        recorded, paths, command, motion = uncounted(recorded), uncounted(paths), uncounted(command), uncounted(motion)
-        bend = table(work)
-        intended, road = below(bend, 4), below(bend, 11)
-        for block in blocks:
-            w = table(state[block])
-            for l in range(min(LANES, command.shape[0] - block * LANES)):
-                w[COMMAND, l] = command[block * LANES + l] if w[ALIVE, l] > 0.0 else 0.0
-            block_table.lay_bend(setting, recorded, block, k, w, bend, 0)
-            if exact.shape[1]:
-                exact_loop.advance(exact, setting, w, k, 0.0, block * LANES, bend, 0, paths)
-            else:
-                end = lay_road(setting, k, w, True, road, 0)
-                if setting[data.HELD] > 0.0:
-                    driver.lay_recorded(setting, w, motion, block, k, intended, 0)
-                rk4_loop.advance(setting, w, k, road, 0, end, bend, 0, intended, 0, paths)
 
     @numba.njit(cache=True, **OPTIONS)
     def drive_any(
@@ -185,10 +183,10 @@ def _entries(version: int) -> Any:
             else:
                 model_loop.take(phase, setting, w, way, k, j, segment, paths, e, result, first)
 
-    return begin, look, go_on, drive_any, drive_lanes, exchange
+    return begin, go_on, drive_any, drive_lanes, exchange
 
 
-begin, look, go_on, drive_any, drive_lanes, exchange = _entries(source_version(_SOURCES, *SCENARIO_METRICS))
+begin, go_on, drive_any, drive_lanes, exchange = _entries(source_version(_SOURCES, *SCENARIO_METRICS))
 
 
 def table_rows(setting: FloatArray) -> int:
@@ -208,7 +206,7 @@ def scratch(setting: FloatArray, law: FloatArray, lookaheads: int, most: int, su
 
 
 def sample_scratch(setting: FloatArray, lookaheads: int, substeps: float) -> FloatArray:
-    """Scratch of one call of `look` or `go_on`."""
+    """Scratch of one call of `go_on`."""
     return zeros(max(3 + 2 * lookaheads, 11 + _road_rows(setting, 1, substeps)), LANES)
 
 
