@@ -1,8 +1,8 @@
-"""Solutions of Riccati equations as smooth functions of speed.
+"""Solutions of Riccati equations, and the sampled plant, as smooth functions of speed.
 
-A stabilising solution is analytic in the speed, so a Chebyshev interpolant in log v through the solver's answers at a
-few dozen speeds is exact to rounding at every other speed, and nothing need be solved once a scenario. The range of
-speeds is fixed: what a scenario gets cannot depend on which others are in its set.
+They are analytic in the speed, so a Chebyshev interpolant in log v through the solver's answers at a few dozen speeds
+is exact to rounding at every other speed, and nothing need be solved once a scenario. The range of speeds is fixed:
+what a scenario gets cannot depend on which others are in its set.
 """
 
 import dataclasses
@@ -16,7 +16,8 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.plant_options import KalmanFilter
-from ldctoolkit.vehicle import BicycleModel, Plant
+from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
+from ldctoolkit.vehicle.discretization import AugmentedStep, augmented
 
 _MEASURED = (0, 2)  # e_y and e_psi
 
@@ -28,26 +29,63 @@ def filter_gain(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> Float
     sample's transition and Q = dt diag(0, q_y^2, 0, q_psi^2). M (n, 4, 2) = P C' (C P C' + R)^-1, with P
     the covariance of the prediction, by `scipy.linalg.solve_discrete_are`.
     """
-    return filter_columns(plant, kalman, frame_samples, columns=slice(8)).reshape(-1, 4, 2)
-
-
-def filter_columns(
-    plant: Plant, kalman: KalmanFilter, frame_samples: int, *, columns: slice = slice(None)
-) -> FloatArray:
-    """The gain, then A and the inputs of the prediction and what the wheel angle adds to it, (n, 8 + 16 + 5 x 4)."""
     what = f"filter gains for {kalman}, {frame_samples} samples of {plant.dt:g} s a frame"
     known = plant.model, plant.dt, plant.lag, plant.delay
-    return scheduled(_Filter(*known, kalman, frame_samples), plant.v, what, columns=columns)
+    return scheduled(_Filter(*known, kalman, frame_samples), plant.v, what).reshape(-1, 4, 2)
+
+
+def filter_columns(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> FloatArray:
+    """The gain, then A and the inputs of the prediction and what the wheel angle adds to it, (n, 8 + 16 + 5 x 4)."""
+    step, gains = plant.augmented, filter_gain(plant, kalman, frame_samples).reshape(-1, 8)
+    wheel = step.A[:, :4, 4] if plant.lag > 0.0 else np.zeros((plant.n, 4))
+    inputs = [weights[:, :4] for weights in (step.B, step.E_0, step.E_1, step.B_old)]
+    return np.concatenate([gains, step.A[:, :4, :4].reshape(-1, 16), *inputs, wheel], axis=1)
+
+
+def sampled(plant: Plant) -> AugmentedStep:
+    """One sample behind the actuator at each speed.
+
+    From an interpolant where that is exact to rounding, about 1e-13 of an entry's largest value in `SPEED_RANGE`: not
+    at speeds outside, nor at any speed where rounding of the exponentials themselves is larger, as of a plant that
+    diverges within a sample.
+    """
+    solve = _Step(plant.model, plant.dt, plant.lag, plant.delay)
+    coefficients, smooth = chebyshev(solve, _ROUNDING)
+    inside = smooth.all() & (plant.v >= SPEED_RANGE[0]) & (plant.v <= SPEED_RANGE[1])
+    exact, j = solve.step(plant.v[~inside]), 4 + (plant.lag > 0.0)
+    values = np.empty((plant.n, coefficients.shape[1]))
+    values[inside], values[~inside] = _interpolated(coefficients, plant.v[inside]), _columns(exact)
+    A, B, B_old, E_0, E_1 = np.split(values, j * np.array([j, j + 1, j + 2, j + 3]), axis=1)
+    return AugmentedStep(A.reshape(-1, j, j), B, B_old, E_0, E_1, exact.whole, exact.split)
+
+
+def _columns(step: AugmentedStep) -> FloatArray:
+    """The arrays of a step side by side, (n, j (j + 4))."""
+    flat = step.A.reshape(-1, step.A.shape[1] ** 2)
+    return np.concatenate([flat, step.B, step.B_old, step.E_0, step.E_1], axis=1)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Filter:
-    """The columns at given speeds, (m, 44)."""
+class _Step:
+    """The columns of a step at given speeds."""
 
     model: BicycleModel
     dt: float
     lag: float
     delay: float
+
+    def step(self, v: FloatArray) -> AugmentedStep:
+        """Each by itself."""
+        return augmented(*self.model.matrices(v), self.dt, lag=self.lag, delay=self.delay)
+
+    def __call__(self, v: FloatArray) -> FloatArray:
+        return _columns(self.step(v))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Filter(_Step):
+    """The gains at given speeds, (m, 8)."""
+
     kalman: KalmanFilter
     frame_samples: int
 
@@ -58,8 +96,7 @@ class _Filter:
         R = np.diag([self.kalman.r_y**2, self.kalman.r_psi**2])
         Q = self.dt * np.diag([0.0, self.kalman.q_y**2, 0.0, self.kalman.q_psi**2])
         gains: list[FloatArray] = []
-        step = Plant.build(self.model, v, self.dt, lag=self.lag, delay=self.delay).augmented
-        for A in step.A[:, :4, :4]:
+        for A in self.step(v).A[:, :4, :4]:
             A_p, Q_p = np.eye(4), np.zeros((4, 4))
             for _ in range(self.frame_samples):
                 Q_p = A @ Q_p @ A.T + Q
@@ -71,14 +108,13 @@ class _Filter:
                 raise LdcError("sensors.kalman", problem, value=self.kalman) from error
             # P and the innovation's covariance are symmetric
             gains.append(np.linalg.solve(C @ P @ C.T + R, C @ P).T.ravel())
-        wheel = step.A[:, :4, 4] if self.lag > 0.0 else np.zeros((v.size, 4))
-        inputs = [weights[:, :4] for weights in (step.B, step.E_0, step.E_1, step.B_old)]
-        return np.concatenate([gains, step.A[:, :4, :4].reshape(-1, 16), *inputs, wheel], axis=1)
+        return np.array(gains)
 
 
 SPEED_RANGE: Final = (1.0, 90.0)  # speeds [m/s] for which gains are scheduled
 
 _TAIL = 1e-9  # largest share that the last coefficients may have: above it the interpolant has not converged
+_ROUNDING = 1e-12  # where it has to be exact to rounding
 
 
 def scheduled(
@@ -120,21 +156,24 @@ def scheduled(
         i = int(np.argmax(outside))
         allowed = f"{low:g} to {high:g} m/s for scheduled gains"
         raise InputError("speed at the trigger", "m/s", value=float(v[i]), allowed=allowed)
-    z = 2.0 * np.log(v / low) / math.log(high / low) - 1.0
-    from ldctoolkit.vector_math import clenshaw
-
     coefficients, smooth = chebyshev(solve)
     if not smooth.all():
         raise LdcError(what, "change too sharply with speed to be scheduled")
-    used = np.ascontiguousarray(coefficients[:, columns])
-    values = np.empty((z.size, used.shape[1]))
-    clenshaw(z, used, values)
+    return _interpolated(np.ascontiguousarray(coefficients[:, columns]), v)
+
+
+def _interpolated(coefficients: FloatArray, v: FloatArray) -> FloatArray:
+    from ldctoolkit.vector_math import clenshaw
+
+    low, high = SPEED_RANGE
+    values = np.empty((v.size, coefficients.shape[1]))
+    clenshaw(2.0 * np.log(v / low) / math.log(high / low) - 1.0, coefficients, values)
     return values
 
 
 @functools.lru_cache(maxsize=256)
-def chebyshev(solve: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, BoolArray]:
-    """Chebyshev coefficients over log v, (nodes, k), and whether each column has converged."""
+def chebyshev(solve: Callable[[FloatArray], FloatArray], tail: float = _TAIL) -> tuple[FloatArray, BoolArray]:
+    """Chebyshev coefficients over log v, (nodes, k), and whether the `tail` of each column is so small a share."""
     for nodes in (48, 96, 192):
         z = np.cos(np.pi * (2 * np.arange(nodes) + 1) / (2 * nodes))
         values = solve(SPEED_RANGE[0] * (SPEED_RANGE[1] / SPEED_RANGE[0]) ** ((z + 1) / 2))
@@ -142,7 +181,7 @@ def chebyshev(solve: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, Bo
         coefficients: FloatArray = 2.0 / nodes * np.einsum("ik,ij->kj", basis, values)  # discrete orthogonality
         coefficients[0] /= 2.0
         scale = np.abs(coefficients).max(axis=0)
-        smooth: BoolArray = np.abs(coefficients[-3:]).max(axis=0) <= _TAIL * np.maximum(scale, 1e-300)
+        smooth: BoolArray = np.abs(coefficients[-3:]).max(axis=0) <= tail * np.maximum(scale, 1e-300)
         if smooth.all():
             break
     coefficients.flags.writeable = smooth.flags.writeable = False
