@@ -353,33 +353,32 @@ class UncorrectedPath:
     def highest(self, curve: Curve, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
         """Largest value of a smooth curve over [t_0, t_1], (n,); both (n,) [s], cut off at T.
 
-        It is taken at the samples of recorded signals, or at 16 points for each half wave of the highest mode; then
-        where the polynomial through five of them is highest. Where that does not yet settle it, again at points around.
+        It is taken at the samples of recorded signals, or at 16 points for each half wave of the highest mode, and at
+        the peak of the polynomial through five; where the curve is not that smooth, again at points around the highest.
         """
         out, starts, ends = np.full(self.n, -np.inf), *np.minimum([t_0, t_1], self.scenarios.T)
         # cells of each path by itself: no number depends on which others stand beside it
-        cells = np.maximum(16 * np.maximum(_used(self.modes_y), _used(self.modes_v)), _CELLS) * (self.recorded is None)
+        cells = np.maximum(16 * np.maximum(_used(self.modes_y), _used(self.modes_v)), 8) * (self.recorded is None)
         groups = [np.flatnonzero(cells == count) for count in np.unique(cells)]
         for rows in (group[i : i + _BLOCK] for group in groups for i in range(0, group.size, _BLOCK)):
             count, start, end = cells[rows[0]], starts[rows, None], ends[rows, None]
-            for _ in range(_ROUNDS):
+            for _ in range(16 if self.recorded is None else 3):
                 path = self.take(rows)
-                if count:
+                if path.recorded is not None and not count:
+                    t = np.clip(path.recorded.times(np.arange(path.n)), start, end)
+                    f = curve(path, rows, t)
+                    column, settled = np.argmax(f, axis=1)[:, None], np.zeros(path.n, dtype=np.bool_)
+                else:
                     t = start + (end - start) * np.linspace(0.0, 1.0, count + 1)
                     f = curve(path, rows, t)
                     column, peak, settled = _peak(f)
                     f = np.c_[f, curve(path, rows, start + (end - start) * (peak / count))]
-                else:
-                    t = np.clip(path.recorded.times(np.arange(path.n)), start, end)
-                    f = curve(path, rows, t)
-                    column, settled = np.argmax(f, axis=1)[:, None], np.zeros(path.n, dtype=np.bool_)
                 out[rows] = np.maximum(out[rows], f.max(axis=1))
-                start, end = (
-                    np.take_along_axis(t, np.clip(column + side, 0, t.shape[1] - 1), axis=1)[~settled] for side in (-1, 1)
-                )
-                rows, count = rows[~settled], _CELLS
-                if not rows.size:
+                if settled.all():
                     break
+                around = np.clip(column + np.array([-1, 1]), 0, t.shape[1] - 1)
+                start, end = np.take_along_axis(t, around, axis=1)[~settled].T[:, :, None]
+                rows, count = rows[~settled], 8
         return out
 
     def slowest_speed(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
@@ -504,8 +503,8 @@ class DriftPath(UncorrectedPath):
 
 
 def _peak(f: FloatArray) -> tuple[IntArray, FloatArray, BoolArray]:
-    """Where curves with values f (n, k) at equal distances are highest: the column, (n, 1), the place of the peak near
-    it, in columns, and whether the curve is smooth enough for that to be the highest value to `_SETTLED`, (n,).
+    """Where curves with values f (n, k) at equal distances are highest: the column and, between columns, the peak near
+    it, both (n, 1), and whether the curve is so smooth that its value there is the highest to 1e-12, (n,).
     """
     last = f.shape[1] - 1
     # of the parabolas through a point and its neighbours, or the next two at an end
@@ -523,14 +522,10 @@ def _peak(f: FloatArray) -> tuple[IntArray, FloatArray, BoolArray]:
         bend = second + x * (third + 0.5 * x * fourth)
         x = np.clip(x - slope / np.minimum(bend, -1e-300), low, high)
     peak, error = middle + x, np.abs(np.diff(f, 5, axis=1)).max(axis=1, keepdims=True) / 20.0  # of the slope
-    settled = (np.abs(slope) + error) ** 2 < -2.0 * _SETTLED * bend
-    settled |= ((peak == 0) & (slope < -error)) | ((peak == last) & (slope > error))
+    outward = ((peak == 0) & (slope < -error)) | ((peak == last) & (slope > error))
+    wrong = np.where(outward, error, np.abs(slope) + error)
+    settled = wrong**2 <= 2e-12 * np.maximum(np.abs(bend), 1e-12)
     return column, peak, settled[:, 0]
-
-
-_CELLS: Final = 8  # Of a search on a path without modes, and around a peak
-_ROUNDS: Final = 16
-_SETTLED: Final = 1e-12  # [m], or [m/s] of a speed
 
 
 def _mode_count(T: FloatArray, bandwidth: float) -> IntArray:

@@ -19,8 +19,6 @@ from ldctoolkit.plant_options import KalmanFilter
 from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
 from ldctoolkit.vehicle.discretization import AugmentedStep, augmented
 
-_MEASURED = (0, 2)  # e_y and e_psi
-
 
 def filter_gain(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> FloatArray:
     """Gain of the correction z <- z + M (frame - z[[0, 2]]) at every scenario's speed.
@@ -30,8 +28,8 @@ def filter_gain(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> Float
     the covariance of the prediction, by `scipy.linalg.solve_discrete_are`.
     """
     what = f"filter gains for {kalman}, {frame_samples} samples of {plant.dt:g} s a frame"
-    known = plant.model, plant.dt, plant.lag, plant.delay
-    return scheduled(_Filter(*known, kalman, frame_samples), plant.v, what).reshape(-1, 4, 2)
+    solve = _Filter(plant.model, plant.dt, plant.lag, plant.delay, kalman, frame_samples)
+    return scheduled(solve, plant.v, what).reshape(-1, 4, 2)
 
 
 def filter_columns(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> FloatArray:
@@ -43,31 +41,23 @@ def filter_columns(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> Fl
 
 
 def sampled(plant: Plant) -> AugmentedStep:
-    """One sample behind the actuator at each speed.
-
-    From an interpolant where that is exact to rounding, about 1e-13 of an entry's largest value in `SPEED_RANGE`: not
-    at speeds outside, nor at any speed where rounding of the exponentials themselves is larger, as of a plant that
-    diverges within a sample.
+    """One sample behind the actuator at each speed, from an interpolant: about 1e-13 of an entry's largest value beside
+    the exponential; that itself at speeds outside `SPEED_RANGE`, and at all of a plant that diverges within a sample.
     """
-    solve = _Step(plant.model, plant.dt, plant.lag, plant.delay)
-    coefficients, smooth = chebyshev(solve, _ROUNDING)
-    inside = smooth.all() & (plant.v >= SPEED_RANGE[0]) & (plant.v <= SPEED_RANGE[1])
-    exact, j = solve.step(plant.v[~inside]), 4 + (plant.lag > 0.0)
-    values = np.empty((plant.n, coefficients.shape[1]))
-    values[inside], values[~inside] = _interpolated(coefficients, plant.v[inside]), _columns(exact)
-    A, B, B_old, E_0, E_1 = np.split(values, j * np.array([j, j + 1, j + 2, j + 3]), axis=1)
-    return AugmentedStep(A.reshape(-1, j, j), B, B_old, E_0, E_1, exact.whole, exact.split)
-
-
-def _columns(step: AugmentedStep) -> FloatArray:
-    """The arrays of a step side by side, (n, j (j + 4))."""
-    flat = step.A.reshape(-1, step.A.shape[1] ** 2)
-    return np.concatenate([flat, step.B, step.B_old, step.E_0, step.E_1], axis=1)
+    solve, (low, high) = _Step(plant.model, plant.dt, plant.lag, plant.delay), SPEED_RANGE
+    inside = (plant.v >= low) & (plant.v <= high) & chebyshev(solve)[1].all()
+    step, j = solve.step(plant.v[:0]), 4 + (plant.lag > 0.0)
+    values = np.empty((plant.n, j * (j + 4)))
+    values[~inside] = solve(plant.v[~inside])
+    if inside.any():
+        values[inside] = scheduled(solve, plant.v[inside], "sampled plants")
+    A, B, B_old, E_0, E_1 = np.split(values, j * np.arange(j, j + 4), axis=1)
+    return AugmentedStep(A.reshape(-1, j, j), B, B_old, E_0, E_1, step.whole, step.split)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Step:
-    """The columns of a step at given speeds."""
+    """A, B, B_old, E_0 and E_1 of one sample at given speeds, side by side."""
 
     model: BicycleModel
     dt: float
@@ -75,11 +65,12 @@ class _Step:
     delay: float
 
     def step(self, v: FloatArray) -> AugmentedStep:
-        """Each by itself."""
         return augmented(*self.model.matrices(v), self.dt, lag=self.lag, delay=self.delay)
 
     def __call__(self, v: FloatArray) -> FloatArray:
-        return _columns(self.step(v))
+        step = self.step(v)
+        A = step.A.reshape(v.size, step.A.shape[1] ** 2)
+        return np.concatenate([A, step.B, step.B_old, step.E_0, step.E_1], axis=1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +83,7 @@ class _Filter(_Step):
     def __call__(self, v: FloatArray) -> FloatArray:
         import scipy.linalg  # what control.dlqe calls: to import that takes two seconds
 
-        C = np.eye(4)[list(_MEASURED)]
+        C = np.eye(4)[[0, 2]]  # e_y and e_psi are measured
         R = np.diag([self.kalman.r_y**2, self.kalman.r_psi**2])
         Q = self.dt * np.diag([0.0, self.kalman.q_y**2, 0.0, self.kalman.q_psi**2])
         gains: list[FloatArray] = []
@@ -114,7 +105,6 @@ class _Filter(_Step):
 SPEED_RANGE: Final = (1.0, 90.0)  # speeds [m/s] for which gains are scheduled
 
 _TAIL = 1e-9  # largest share that the last coefficients may have: above it the interpolant has not converged
-_ROUNDING = 1e-12  # where it has to be exact to rounding
 
 
 def scheduled(
@@ -156,24 +146,21 @@ def scheduled(
         i = int(np.argmax(outside))
         allowed = f"{low:g} to {high:g} m/s for scheduled gains"
         raise InputError("speed at the trigger", "m/s", value=float(v[i]), allowed=allowed)
+    z = 2.0 * np.log(v / low) / math.log(high / low) - 1.0
+    from ldctoolkit.vector_math import clenshaw
+
     coefficients, smooth = chebyshev(solve)
     if not smooth.all():
         raise LdcError(what, "change too sharply with speed to be scheduled")
-    return _interpolated(np.ascontiguousarray(coefficients[:, columns]), v)
-
-
-def _interpolated(coefficients: FloatArray, v: FloatArray) -> FloatArray:
-    from ldctoolkit.vector_math import clenshaw
-
-    low, high = SPEED_RANGE
-    values = np.empty((v.size, coefficients.shape[1]))
-    clenshaw(2.0 * np.log(v / low) / math.log(high / low) - 1.0, coefficients, values)
+    used = np.ascontiguousarray(coefficients[:, columns])
+    values = np.empty((z.size, used.shape[1]))
+    clenshaw(z, used, values)
     return values
 
 
 @functools.lru_cache(maxsize=256)
-def chebyshev(solve: Callable[[FloatArray], FloatArray], tail: float = _TAIL) -> tuple[FloatArray, BoolArray]:
-    """Chebyshev coefficients over log v, (nodes, k), and whether the `tail` of each column is so small a share."""
+def chebyshev(solve: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, BoolArray]:
+    """Chebyshev coefficients over log v, (nodes, k), and whether each column has converged."""
     for nodes in (48, 96, 192):
         z = np.cos(np.pi * (2 * np.arange(nodes) + 1) / (2 * nodes))
         values = solve(SPEED_RANGE[0] * (SPEED_RANGE[1] / SPEED_RANGE[0]) ** ((z + 1) / 2))
@@ -181,7 +168,7 @@ def chebyshev(solve: Callable[[FloatArray], FloatArray], tail: float = _TAIL) ->
         coefficients: FloatArray = 2.0 / nodes * np.einsum("ik,ij->kj", basis, values)  # discrete orthogonality
         coefficients[0] /= 2.0
         scale = np.abs(coefficients).max(axis=0)
-        smooth: BoolArray = np.abs(coefficients[-3:]).max(axis=0) <= tail * np.maximum(scale, 1e-300)
+        smooth: BoolArray = np.abs(coefficients[-3:]).max(axis=0) <= _TAIL * np.maximum(scale, 1e-300)
         if smooth.all():
             break
     coefficients.flags.writeable = smooth.flags.writeable = False
