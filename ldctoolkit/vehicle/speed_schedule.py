@@ -42,10 +42,12 @@ def filter_columns(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> Fl
 
 def sampled(plant: Plant) -> AugmentedStep:
     """One sample behind the actuator at each speed, from an interpolant: about 1e-13 of an entry's largest value beside
-    the exponential; that itself at speeds outside `SPEED_RANGE`, and at all of a plant that diverges within a sample.
+    the exponential; that itself at speeds outside `SPEED_RANGE`, and where the interpolant is not that exact.
     """
     solve, (low, high) = _Step(plant.model, plant.dt, plant.lag, plant.delay), SPEED_RANGE
-    inside = (plant.v >= low) & (plant.v <= high) & chebyshev(solve)[1].all()
+    coefficients = np.abs(chebyshev(solve)[0])
+    exact = (coefficients[-3:].max(axis=0) <= _ROUNDING * coefficients.max(axis=0)).all()
+    inside = (plant.v >= low) & (plant.v <= high) & exact
     step, j = solve.step(plant.v[:0]), 4 + (plant.lag > 0.0)
     values = np.empty((plant.n, j * (j + 4)))
     values[~inside] = solve(plant.v[~inside])
@@ -105,6 +107,7 @@ class _Filter(_Step):
 SPEED_RANGE: Final = (1.0, 90.0)  # speeds [m/s] for which gains are scheduled
 
 _TAIL = 1e-9  # largest share that the last coefficients may have: above it the interpolant has not converged
+_ROUNDING = 2e-14  # The same of what an exact function replaces
 
 
 def scheduled(
@@ -158,7 +161,7 @@ def scheduled(
     return values
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=1024)
 def chebyshev(solve: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, BoolArray]:
     """Chebyshev coefficients over log v, (nodes, k), and whether each column has converged."""
     for nodes in (48, 96, 192):
