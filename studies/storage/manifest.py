@@ -372,7 +372,7 @@ def read_manifest(folder: str | Path) -> Manifest:
         if version != FORMAT_VERSION:
             if isinstance(version, int) and version > FORMAT_VERSION:
                 hint = "the folder is newer, update ldctoolkit"
-            raise StoreError(path, "of another format", value=version, allowed=str(FORMAT_VERSION), hint=hint)
+            raise StoreError(f"{path}: format_version", value=version, allowed=str(FORMAT_VERSION), hint=hint)
         return Manifest.model_validate(without_checksum(content))
     except ValidationError as error:
         problem = "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
