@@ -324,3 +324,11 @@ def test_files_of_a_newer_version_are_refused(stored: Path) -> None:
 
 def test_stored_files_are_small() -> None:
     assert sum(path.stat().st_size for path in STORED.rglob("*") if path.is_file()) < 200_000
+
+
+def test_the_page_lists_formats_and_modules_as_the_code_has_them() -> None:
+    made = dict(surfaces.generated.promises())
+    assert [row.split(" | ")[2:] for row in made["formats.md"].splitlines()[2:]] == [
+        ["5", "5 |"], ["5", "3, 4, 5 |"], ["2", "2 |"],
+    ]  # fmt: skip
+    assert "| `ldctoolkit.recordings` | `Label`, `Preparation`, `Problem`, " in made["public-modules.md"]
