@@ -505,11 +505,9 @@ def _means(values: FloatArray) -> FloatArray:
 
 def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
     """The numbers of a task: read from the study's folder if they are stored there, else computed and stored."""
-    stored = stored_of(folder, task)
-    if stored is not None:
-        return stored
-    robustness = work_out(task)
-    write_fields(folder / ROBUSTNESS, robustness)
+    robustness = stored_of(folder, task)
+    if robustness is None:
+        write_fields(folder / ROBUSTNESS, robustness := work_out(task))
     return robustness
 
 

@@ -131,8 +131,7 @@ class Store:
         except LdcError as error:
             raise StoreError.of(error.within(str(folder / "manifest.json"), ": ")) from None
         if current and (others := manifest.other_versions()):
-            what = "its numbers are read as they are, and anything driven now may differ from them"
-            _log.warning("%s: was run with %s; %s", folder, others, what)
+            _log.warning("%s: was run with %s; its numbers are read as they are", folder, others)
         return cls(folder, manifest, study)
 
     @functools.cached_property
