@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import math
 import statistics
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -133,7 +132,7 @@ class RefitScores:
     failed: int  # Refits that could not be made, or driven
     factor: float  # Of standard deviations over refits, for few and unequal clusters
     df: float  # Degrees of freedom
-    key: tuple[str, ...]  # What they follow from, see `refits_key`
+    key: tuple[str, ...]  # What they follow from: ranking, model, recordings and number
     text: str  # What the recorded departures come from; without refits why there are none
     doubt: str  # Why their interval cannot be trusted; may be empty
 
@@ -205,12 +204,6 @@ class StudyResults(Frame):
     def options(self) -> PlantOptions | None:
         """The plant of the runs; None where it is not known."""
         return None if self.setup is None else self.setup.options
-
-    @property
-    def companions(self) -> MetricValues:
-        """The former name of `metrics`."""
-        warnings.warn("companions: the name is metrics now", DeprecationWarning, stacklevel=2)
-        return self.metrics
 
     @property
     def failed_runs(self) -> BoolArray:

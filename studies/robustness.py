@@ -23,7 +23,6 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover, Window
 from ldctoolkit.vehicle import Convention, VehicleModel
-from ldctoolkit.version import versions
 
 from .design import Design, is_paper_design
 from .measures import drive_on_plants, first_of_each_side, on_model, trigger_speeds
@@ -33,6 +32,7 @@ from .ranking.verdict import Light, OtherPlants, design_name
 from .results import status_among
 from .standards import VEHICLES
 from .storage.folder_files import read_fields, write_fields
+from .storage.store import ROBUSTNESS
 from .text import percent
 
 if TYPE_CHECKING:
@@ -426,7 +426,6 @@ class RobustnessTask:
         selection = self.chosen
         identity = [
             _FORMAT,
-            versions(),
             [[design.id, contends] for design, contends in zip(selection.designs, selection.contends, strict=True)],
             [selection.slow, selection.unsafe, selection.more],
             [dataclasses.asdict(plant) for plant in self.plants],
@@ -504,20 +503,15 @@ def _means(values: FloatArray) -> FloatArray:
     return row_means(values.reshape(-1, values.shape[2])).reshape(values.shape[:2])
 
 
-NAME: Final = "robustness.json"
-
-
 def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
     """The numbers of a task: read from the study's folder if they are stored there, else computed and stored."""
-    stored = stored_of(folder, task)
-    if stored is not None:
-        return stored
-    robustness = work_out(task)
-    write_fields(folder / NAME, robustness)
+    robustness = stored_of(folder, task)
+    if robustness is None:
+        write_fields(folder / ROBUSTNESS, robustness := work_out(task))
     return robustness
 
 
 def stored_of(folder: Path, task: RobustnessTask) -> Robustness | None:
     """The numbers of a task in a study's folder; None if there are none, or if they belong to another task."""
-    stored = read_fields(folder / NAME, Robustness)
+    stored = read_fields(folder / ROBUSTNESS, Robustness)
     return stored if stored is not None and stored.key == task.key else None

@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, Valida
 from ldctoolkit.checked_files import read_toml
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
+from ldctoolkit.deprecation import Deprecation
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
 from ldctoolkit.metrics import MEAN_OF_ALL, measured_on, user_rows
 from ldctoolkit.plant_options import PlantOptions
@@ -80,6 +81,9 @@ def read_table(kind: type, table: dict[str, Any], prefix: str = "") -> Any:
                 raise InputError(path, value=entry, allowed="a table of keys")
             values[key] = read_table(declaration.kind, entry, f"{path}.")
     return kind(**values)
+
+
+FORMER_KEYS: Final[dict[str, Deprecation]] = {}  # as ``{"ranking.old": Deprecation("1.1", "1.2", "new")}``
 
 
 class RankingSettings(Part):
@@ -393,6 +397,8 @@ class Study(Part):
             Vehicle models by what the content calls them; the others are loaded from their files.
         """
         known = dict(models or {})
+        for key, deprecation in FORMER_KEYS.items():
+            content = deprecation.key(content, key)
         try:
             place = Path(folder or ".")
             content = load_laws(content, place, laws := dict(classes or {}))

@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 import ldctoolkit.compiling as compiling
 from ldctoolkit.declared import UnitWarning
+from ldctoolkit.deprecation import LdcDeprecationWarning
 from ldctoolkit.errors import LdcError
 from ldctoolkit.surroundings import sweep
 from ldctoolkit.version import __version__
@@ -75,7 +76,7 @@ def _warnings_on_stderr() -> Iterator[None]:
     shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *location: Any, **other: Any) -> None:
-        if not issubclass(category, UnitWarning):
+        if not issubclass(category, (UnitWarning, LdcDeprecationWarning)):
             usual(message, category, *location, **other)
         elif str(message) not in shown:
             shown.add(str(message))
@@ -84,7 +85,8 @@ def _warnings_on_stderr() -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             usual, warnings.showwarning = warnings.showwarning, show
-            warnings.simplefilter("always", UnitWarning)
+            for kind in (UnitWarning, LdcDeprecationWarning):
+                warnings.simplefilter("always", kind)
             yield
     finally:
         log.handlers[:], log.propagate = before

@@ -275,13 +275,11 @@ class Manifest(BaseModel):
     def read_study(self, *, current: bool = True) -> Study:
         """The study that was run, with the classes of its laws.
 
-        Raises `StoreError` if their code or the versions of packages are others than then; without `current` the stored
-        numbers can be read, but nothing can be driven again.
+        Raises `StoreError` if their code is another than then; without `current` the stored numbers can be read, but
+        nothing can be driven again.
         """
         if not current:
             return Study.from_dict(self._without_models(), source="study")
-        if others := self.other_versions():
-            raise StoreError("versions", f"the study was run with {others}", hint=_AGAIN)
         load_laws(self.study, Path(), {})
         classes: dict[str, Any] = {name: with_content(name, content) for name, content in self.laws.items()}
         changed = [name for name, kind in classes.items() if kind is None]
@@ -372,7 +370,9 @@ def read_manifest(folder: str | Path) -> Manifest:
         content = parse_json(read_regular(path, StoreError))
         version = content["format_version"]
         if version != FORMAT_VERSION:
-            raise StoreError(path, "of another format", value=version, allowed=str(FORMAT_VERSION), hint=hint)
+            if isinstance(version, int) and version > FORMAT_VERSION:
+                hint = "the folder is newer, update ldctoolkit"
+            raise StoreError(f"{path}: format_version", value=version, allowed=str(FORMAT_VERSION), hint=hint)
         return Manifest.model_validate(without_checksum(content))
     except ValidationError as error:
         problem = "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
