@@ -9,6 +9,9 @@ __version__ = importlib.metadata.version("ldctoolkit")
 DECISIVE: Final = ("ldctoolkit", "numpy", "scipy", "numba", "casadi", "daqp", "osqp", "qpsolvers", "control")
 """Packages whose versions decide a number's last bits: the same on every worker, and wherever a study is resumed."""
 
+RECORDED: Final = (*DECISIVE, "polars", "pydantic", "loky")
+"""Packages whose versions are recorded with a study."""
+
 Versions = tuple[tuple[str, str], ...]  # names of packages and their versions; `"not installed"` where there is none
 
 
