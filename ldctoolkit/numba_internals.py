@@ -53,13 +53,12 @@ def kept(module: ModuleType) -> dict[str, bool]:
 
     What is there is of the present source and for this processor; another type of an argument may still be missing.
     """
-    found = {}
-    for name, function in vars(module).items():
-        cache = getattr(function, "_cache", None)
-        if isinstance(cache, FunctionCache):
-            _, *wanted = cache._index_key((), cpu_target.target_context.codegen())
-            found[name] = any([*key[1:]] == wanted for key in cache._cache_file._load_index())
-    return found
+    codegen = cpu_target.target_context.codegen()
+    caches = {name: getattr(function, "_cache", None) for name, function in vars(module).items()}
+    return {
+        name: any(key[1:] == cache._index_key((), codegen)[1:] for key in cache._cache_file._load_index())
+        for name, cache in caches.items() if isinstance(cache, FunctionCache)
+    }  # fmt: skip
 
 
 def source_version(modules: Iterable[ModuleType], *words: str) -> int:

@@ -13,7 +13,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from ldctoolkit.errors import first_line
 from ldctoolkit.surroundings import free_memory, machine, private, usable_cores
@@ -22,17 +22,12 @@ from ldctoolkit.version import RECORDED, __version__, versions
 from ..tables import Column, Row, Table, to_text
 from ._console import Subparsers, print_table
 
-if TYPE_CHECKING:
-    from packaging.requirements import Requirement
-
-BROKEN: Final = 1  # exit code where something that is required does not work
-
 _LOOPS: Final = (  # what needs compiled loops; their module, functions, and seconds to compile them
     ("linear laws, ideal plant", "simulation.kernel.entry", ("begin", "drive_lanes"), 0),
     ("linear laws, any plant", "simulation.kernel.entry", ("begin", "drive_any"), 0),
     ("other laws", "simulation.kernel.entry", ("begin", "go_on"), 0),
     ("vehicle models", "simulation.kernel.entry", ("begin", "exchange"), 0),
-    ("linear MPC", "controllers._mpc_kernel", ("sweep", "assemble", "finish"), 0),
+    ("linear MPC", "controllers._mpc_kernel", ("sweep",), 0),
     ("fit of a model", "mixture._kernels", ("_pass",), 0),
 )
 _NOT_SHOWN: Final = ("bench", "dev", "docs", "export")  # extras: no command needs them, or its compiler has a line
@@ -44,9 +39,8 @@ _Line = dict[str, str]  # what, found, needed, state (fine, slow, missing: optio
 def add_parser(commands: Subparsers) -> None:
     """Declare the commands."""
     about = "check the installation: what is slow, missing or broken, and what to do"
-    more = "Interpreter, packages, compilers, caches, processor, memory and compiled loops. Nothing is compiled"
-    end = f"Exit code {BROKEN} where something that is required is broken"
-    parser = commands.add_parser("doctor", help=about, description=f"C{about[1:]}. {more}. {end}.")
+    more = "Nothing is compiled. Exit code 1 where something that is required is broken."
+    parser = commands.add_parser("doctor", help=about, description=f"C{about[1:]}. {more}")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and no table")
     parser.set_defaults(run=run)
     about = "print a script with which a shell completes commands, options, names and files"
@@ -73,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             print(end)
     except ImportError:  # of rich
         print(to_text(table), end, sep="\n")
-    return BROKEN if broken else 0
+    return int(bool(broken))
 
 
 def environment() -> dict[str, Any]:
@@ -106,12 +100,10 @@ def _guarded(part: Callable[[], Iterator[_Line]]) -> Iterator[_Line]:
 
 def _packages() -> Iterator[_Line]:
     from packaging.requirements import Requirement
-    from packaging.specifiers import SpecifierSet
 
     about, here = importlib.metadata.metadata("ldctoolkit"), machine()
-    fits = SpecifierSet(about["Requires-Python"]).contains(python := platform.python_version(), prereleases=True)
-    found = f"{platform.python_implementation()} {python}, {sys.executable}"
-    yield _line("Python", found, about["Requires-Python"], fits, "broken", "install with another interpreter")
+    python = f"{platform.python_implementation()} {platform.python_version()}, {sys.executable}"
+    yield _line("Python", python, about["Requires-Python"])  # pip has compared them
     yield _line("platform", f"{here['system']}, {here['architecture']}, {here['processor']}")
     yield _line("ldctoolkit", f"{__version__}, {Path(__file__).resolve().parents[2]}")
     needed = [Requirement(text) for text in importlib.metadata.requires("ldctoolkit") or ()]
@@ -121,7 +113,7 @@ def _packages() -> Iterator[_Line]:
                 yield _package(one, extra)
 
 
-def _package(needed: Requirement, extra: str) -> _Line:
+def _package(needed: Any, extra: str) -> _Line:
     """A package against its bounds; one that is required is imported too."""
     name, bounds, ((_, found),) = needed.name, str(needed.specifier), versions((needed.name,))
     try:
@@ -203,15 +195,12 @@ def print_completion(args: argparse.Namespace) -> None:
     for action in (action for command in commands.choices.values() for action in command._actions):
         metavar: Any = action.metavar or ""
         if metavar in names:
-            words, bash = " ".join(names[metavar]), f"_ldc_{metavar.lower()}"
+            words, bash = " ".join(names[metavar]), f"_ldc_{metavar}"
             action.complete = {
-                "bash": bash,
-                "zsh": f"{{compadd {words}; _files}}",
+                "bash": bash, "zsh": f"{{compadd {words}; _files}}",
                 "fish": f"{words} (__fish_complete_path (commandline -ct))",
                 "preamble": {"bash": f'{bash}() {{\n  compgen -W "{words}" -- "$1"\n  compgen -f -- "$1"\n}}'},
-            }
-        elif metavar in ("DIR", "FOLDER", "OLD", "NEW"):
-            action.complete = shtab.DIRECTORY
-        elif metavar in ("PATH", "LOG", "FILE") or "." in metavar:
+            }  # fmt: skip
+        elif metavar in ("DIR", "FOLDER", "OLD", "NEW", "PATH", "LOG", "FILE") or "." in metavar:
             action.complete = shtab.FILE
     print(shtab.complete(top, args.shell))
