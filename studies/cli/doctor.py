@@ -23,12 +23,12 @@ from ..tables import Column, Row, Table, to_text
 from ._console import Subparsers, print_table
 
 _LOOPS: Final = (  # what needs compiled loops; their module, functions, and seconds to compile them
-    ("linear laws, ideal plant", "simulation.kernel.entry", ("begin", "drive_lanes"), 0),
-    ("linear laws, any plant", "simulation.kernel.entry", ("begin", "drive_any"), 0),
-    ("other laws", "simulation.kernel.entry", ("begin", "go_on"), 0),
-    ("vehicle models", "simulation.kernel.entry", ("begin", "exchange"), 0),
-    ("linear MPC", "controllers._mpc_kernel", ("sweep",), 0),
-    ("fit of a model", "mixture._kernels", ("_pass",), 0),
+    ("linear laws, ideal plant", "simulation.kernel.entry", ("drive_lanes",), 15),
+    ("linear laws, any plant", "simulation.kernel.entry", ("drive_any",), 20),
+    ("other laws", "simulation.kernel.entry", ("begin", "go_on"), 30),
+    ("vehicle models", "simulation.kernel.entry", ("begin", "go_on", "exchange"), 45),
+    ("linear MPC", "controllers._mpc_kernel", ("sweep",), 30),
+    ("fit of a model", "mixture._kernels", ("_pass",), 5),
 )
 _NOT_SHOWN: Final = ("bench", "dev", "docs", "export")  # extras: no command needs them, or its compiler has a line
 _ROOM: Final = 0.5  # [GiB] of memory for each worker process
