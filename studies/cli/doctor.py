@@ -24,7 +24,7 @@ from ._console import Subparsers, print_table
 
 _LOOPS: Final = (  # what needs compiled loops; their module, functions, and seconds to compile them
     ("linear laws, ideal plant", "simulation.kernel.entry", ("drive_lanes",), 15),
-    ("linear laws, any plant", "simulation.kernel.entry", ("drive_any",), 20),
+    ("linear laws, any plant", "simulation.kernel.entry", ("drive_any",), 15),
     ("other laws", "simulation.kernel.entry", ("begin", "go_on"), 30),
     ("vehicle models", "simulation.kernel.entry", ("begin", "go_on", "exchange"), 45),
     ("linear MPC", "controllers._mpc_kernel", ("sweep",), 30),
@@ -128,17 +128,14 @@ def _package(needed: Any, extra: str) -> _Line:
 
 
 def _compilers() -> Iterator[_Line]:
-    from ldctoolkit import casadi_code
+    from ldctoolkit.casadi_code import CACHE, c_compiler, code_folder
     from ldctoolkit.controllers import external
 
     found, to_do = " ".join(external.compiler() or ()), 'install gcc or clang, or: pip install "ldctoolkit[export]"'
     yield _line("compiler of ldc export", found or "none", "cc or ziglang", found, "missing", to_do)
-    found, to_do = (
-        casadi_code.c_compiler() or "",
-        "install gcc or clang: nonlinear MPC takes three to four times as long",
-    )
+    found, to_do = (c_compiler() or "", "install gcc or clang: nonlinear MPC takes three to four times as long")
     yield _line("compiler of expressions", found or "none", "cc, gcc or clang", found, "slow", to_do)
-    yield _cache("compiled expressions", casadi_code.code_folder(), casadi_code.CACHE)
+    yield _cache("compiled expressions", code_folder(), CACHE)
     yield _line("temporary files", tempfile.gettempdir())
 
 
