@@ -77,7 +77,7 @@ def test_compilers_and_caches_that_are_not_there(tmp_path: Path, monkeypatch: py
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *of: None if name == "ziglang" else find(name, *of))
     monkeypatch.setenv("PATH", str(tmp_path))
-    (tmp_path / "file").touch()
+    (tmp_path / "file").touch(mode=0o700)
     monkeypatch.setenv("LDC_NMPC_CACHE", str(tmp_path / "file" / "cache"))
     code, _, lines = doctor(tmp_path)
     assert code == 0
@@ -236,5 +236,6 @@ def test_completion_in_zsh(tmp_path: Path) -> None:
     for line, completed in {
         "ldc sens": "sensitivity", "ldc run trig": "run trigger-and-gains", "ldc init --law sta": "init --law stanley",
         "ldc fit dep": "fit departures.parquet", "ldc run --mod": "run --model",
+        "ldc run dep": "run departures.parquet",
     }.items():  # fmt: skip
         assert zsh(line, tmp_path) == completed
