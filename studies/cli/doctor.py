@@ -151,7 +151,8 @@ def _processor() -> Iterator[_Line]:
     to_do = "taskset, or a container, keeps the others from this process"
     yield _line("cores", f"{cores} of {every}, a worker on each", "", cores >= every, "slow", to_do)
     to_do = f"fewer --workers: each takes up to {_ROOM:g} GiB"
-    yield _line("free memory", f"{free:.1f} GiB", f"{_ROOM * cores:g} GiB", free >= _ROOM * cores, "slow", to_do)
+    known = f"{free:.1f} GiB" if free < 1e9 else "unknown"
+    yield _line("free memory", known, f"{_ROOM * cores:g} GiB", free >= _ROOM * cores, "slow", to_do)
     for blas in environment()["threads"]["blas"]:
         found = f"{blas['internal_api']} {blas['version']}, threads: {blas['num_threads']}"
         to_do = f"set OPENBLAS_NUM_THREADS (or that of your library) to {cores}"
