@@ -77,10 +77,8 @@ def machine() -> dict[str, Any]:
     with contextlib.suppress(OSError):  # not Linux
         match = re.search(r"^model name.*?: *(.*)", Path("/proc/cpuinfo").read_text(errors="replace"), re.MULTILINE)
         processor = match[1].strip() if match else processor
-    system = f"{platform.system()} {platform.release()}"
-    return {
-        "system": system, "architecture": platform.machine(), "processor": processor, "cores": os.cpu_count() or 1
-    }  # fmt: skip
+    system, architecture = f"{platform.system()} {platform.release()}", platform.machine()
+    return {"system": system, "architecture": architecture, "processor": processor, "cores": os.cpu_count() or 1}
 
 
 def free_memory() -> float:

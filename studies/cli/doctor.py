@@ -133,7 +133,7 @@ def _compilers() -> Iterator[_Line]:
 
     found, to_do = " ".join(external.compiler() or ()), 'install gcc or clang, or: pip install "ldctoolkit[export]"'
     yield _line("compiler of ldc export", found or "none", "cc or ziglang", found, "missing", to_do)
-    found, to_do = (c_compiler() or "", "install gcc or clang: nonlinear MPC takes three to four times as long")
+    found, to_do = c_compiler(), "install gcc or clang: nonlinear MPC takes three to four times as long"
     yield _line("compiler of expressions", found or "none", "cc, gcc or clang", found, "slow", to_do)
     yield _cache("compiled expressions", code_folder(), CACHE)
     yield _line("temporary files", tempfile.gettempdir())
@@ -168,12 +168,8 @@ def _loops() -> Iterator[_Line]:
         there = kept(importlib.import_module(f"ldctoolkit.{module}"))
         missing = ", ".join(name for name in names if not there.get(name))
         to_do = f"the first run compiles them, once: about {seconds} s"
-        yield _line(
-            f"loops: {what}", f"not compiled: {missing}" if missing else "compiled", "", not missing, "slow", to_do
-        )
-
-
-# ------------------------------------------------------------------------------------------------ completion
+        found = f"not compiled: {missing}" if missing else "compiled"
+        yield _line(f"loops: {what}", found, "", not missing, "slow", to_do)
 
 
 def print_completion(args: argparse.Namespace) -> None:
