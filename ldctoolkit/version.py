@@ -9,6 +9,9 @@ __version__ = "1.0.0"  # as in pyproject.toml; metadata of an editable installat
 DECISIVE: Final = ("ldctoolkit", "numpy", "scipy", "numba", "casadi", "daqp", "osqp", "qpsolvers", "control")
 """Packages whose versions decide a number's last bits: the same on every worker, and wherever a study is resumed."""
 
+RECORDED: Final = (*DECISIVE, "polars", "pydantic", "loky")
+"""Packages whose versions are recorded with a study."""
+
 Versions = tuple[tuple[str, str], ...]  # names of packages and their versions; `"not installed"` where there is none
 
 

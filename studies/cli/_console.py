@@ -85,7 +85,8 @@ def print_table(table: Table, out: Console | None = None, *, narrow: bool = Fals
             box=box.HEAVY_HEAD if ruled else None, padding=(0, 1) if ruled else (0, 1, 0, 0),
         )  # fmt: skip
         for j in shown:
-            grid.add_column(Text(heads[j]), justify="left" if table.columns[j].text else "right", width=widths[j])
+            justify: Any = "left" if table.columns[j].text else "right"
+            grid.add_column(Text(heads[j]), justify=justify, width=widths[j], overflow="fold")
         for row, texts in zip(table.rows, rows, strict=True):
             if row.apart:
                 grid.add_section()

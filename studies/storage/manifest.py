@@ -18,8 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from ldctoolkit.checked_files import parse_json, read_regular, without_checksum
 from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
+from ldctoolkit.surroundings import machine
 from ldctoolkit.vehicle import VehicleModel
-from ldctoolkit.version import DECISIVE, versions
+from ldctoolkit.version import RECORDED, versions
 
 from ..design import Design
 from ..design_space import load_laws
@@ -241,14 +242,9 @@ class Manifest(BaseModel):
                 name: ((study.folder / name).resolve().as_posix(), model.identity)
                 for name, model in study.vehicle_models.items()
             },
-            versions=dict(versions((*DECISIVE, "polars", "pydantic", "loky"))),
+            versions=dict(versions(RECORDED)),
             python=platform.python_version(),
-            machine=Machine(
-                system=f"{platform.system()} {platform.release()}",
-                architecture=platform.machine(),
-                processor=_processor(),
-                cores=os.cpu_count() or 1,
-            ),
+            machine=Machine(**machine()),
             created=_now(),
             command=_command(sys.argv),
         )
@@ -306,16 +302,6 @@ class Manifest(BaseModel):
 
 def _now() -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(errors="replace").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass  # not Linux
-    return platform.processor()
 
 
 def _command(arguments: Sequence[str]) -> str:
