@@ -10,7 +10,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help study test tier test-all test-long test-slow test-browser test-lowest release ruff lint docs bench bench-history format clean
+.PHONY: help environment study test tier test-all test-long test-slow test-browser test-lowest release ruff lint docs bench bench-history format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -31,6 +31,8 @@ $(VENV)/.axe-core-$(AXE_CORE): $(VENV)/.runtime
 	@if command -v npm >/dev/null 2>&1; then \
 	  npm install --silent --no-save --no-package-lock --no-audit --no-fund --ignore-scripts --prefix $(VENV) axe-core@$(AXE_CORE) && touch $@; \
 	else echo "npm is not on PATH: tests with axe-core are skipped"; fi
+
+environment: $(VENV)/.dev
 
 $(VENV)/.bench: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'

@@ -3,7 +3,7 @@
 The wheel goes into an environment of its own outside the checkout, once for each interpreter (this one without
 ``--python``), and everything runs in another folder: versions, the catalog, a first study, which compiles, a second,
 an extraction, a fit, an export with its proof, and Python of the documentation: recordings as the tutorial makes them
-up, and the README. Both are taken from the source archive, from which ``python -m build`` has made the wheel. Prints the
+up, and the README. Both are taken from the source archive, from which ``python -m build`` made the wheel. Prints the
 time of each step.
 """
 

@@ -19,6 +19,7 @@ from typing import Any
 
 import control
 import numpy as np
+from history import report
 
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, SteeringLaw
 from ldctoolkit.controllers import LQR, PreviewProportional
@@ -267,10 +268,10 @@ def header() -> None:
 def machine(*packages: str) -> str:
     """Processor, cores and versions of the packages, as a sentence."""
     shown = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
-    return f"{_processor()}, {usable_cores()} cores; Python {platform.python_version()}, {shown}."
+    return f"{processor()}, {usable_cores()} cores; Python {platform.python_version()}, {shown}."
 
 
-def _processor() -> str:
+def processor() -> str:
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         for line in cpuinfo.read_text().splitlines():
@@ -287,6 +288,7 @@ def check(ours: np.ndarray | None, theirs: np.ndarray) -> None:
 
 def row(case: str, ours: float, theirs: float) -> None:
     print(f"| {case} | {1e3 * ours:.2f} | {1e3 * theirs:.1f} | {theirs / ours:.1f} |", flush=True)
+    report(case, theirs / ours)
 
 
 def main() -> None:
