@@ -14,12 +14,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import control
 import numpy as np
-from history import report
+from history import processor, report
 
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, SteeringLaw
 from ldctoolkit.controllers import LQR, PreviewProportional
@@ -269,15 +268,6 @@ def machine(*packages: str) -> str:
     """Processor, cores and versions of the packages, as a sentence."""
     shown = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
     return f"{processor()}, {usable_cores()} cores; Python {platform.python_version()}, {shown}."
-
-
-def processor() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        for line in cpuinfo.read_text().splitlines():
-            if line.startswith("model name"):
-                return f"{line.partition(':')[2].strip()}, {platform.machine()}"
-    return platform.machine()
 
 
 def check(ours: np.ndarray | None, theirs: np.ndarray) -> None:

@@ -27,8 +27,9 @@ import polars as pl
 import psutil
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers import spmd
 from history import report
+
+from helpers import spmd
 
 ROWS_OF_TRIP, TRIPS_OF_BLOCK = 6000, 100  # rows of a trip on average (10 minutes); trips that are made at a time
 

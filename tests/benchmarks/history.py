@@ -52,10 +52,18 @@ def run(name: str) -> list[dict[str, Any]]:
         return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
+def processor() -> str:
+    """Its name where the system tells it, and its architecture."""
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return f"{line.partition(':')[2].strip()}, {platform.machine()}"
+    return platform.machine()
+
+
 def surroundings() -> dict[str, Any]:
     """When, on what, and with what."""
-    from closed_loop import processor
-
     from ldctoolkit.surroundings import usable_cores
     from ldctoolkit.version import versions
 
