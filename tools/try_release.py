@@ -76,9 +76,13 @@ class Trial:
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
-        started = time.perf_counter()
+        """Print minutes, and those of the processor, which count where a machine does other work too."""
+        wall, before = time.perf_counter(), os.times()
         yield
-        print(f"  {name}: {(time.perf_counter() - started) / 60:.2f} minutes", flush=True)
+        after = os.times()
+        processor = after.children_user + after.children_system - before.children_user - before.children_system
+        print(f"  {name}: {(time.perf_counter() - wall) / 60:.1f} minutes", end="")
+        print(f" ({processor / 60:.1f} of processor time)" if processor else "", flush=True)
 
 
 def expect(true: object, otherwise: str) -> None:
