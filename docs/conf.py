@@ -10,22 +10,28 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the pages' own kernels, too
 
+import front
 import generated
+from pictures import MADE, STYLE
+from sphinx.util import logging
 
 import ldctoolkit
 
 # kernels warn of every connection that is not encrypted, also on one machine
 profile = Path(__file__).parents[1] / "out/ipython/profile_default"
 profile.mkdir(parents=True, exist_ok=True)
-(profile / "ipython_kernel_config.py").write_text("c.IPKernelApp.log_level = 'ERROR'\n")
+figures = f"c.InlineBackend.figure_formats = ['svg']\nc.InlineBackend.rc = {STYLE!r}\n"
+(profile / "ipython_kernel_config.py").write_text(f"c.IPKernelApp.log_level = 'ERROR'\n{figures}")
 os.environ["IPYTHONDIR"] = str(profile.parent)
 
 generated.write(Path(__file__).parent / "reference" / "_generated")
+if missing := front.write(MADE):
+    logging.getLogger(__name__).info("The first page shows the report's stored picture: %s.", missing)
 
 project, author = "ldctoolkit", "The ldctoolkit developers"
 version = release = ldctoolkit.__version__
 copyright = author
-extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
+extensions = ["pictures", "myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
 exclude_patterns = ["_ext", "reference/_generated"]
 templates_path = ["_templates"]
 html_static_path = ["_static"]
