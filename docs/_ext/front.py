@@ -15,8 +15,8 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import tomli_w
-from PIL import Image
 from pictures import STYLE, darkened
+from PIL import Image
 
 import ldctoolkit as ldc
 from ldctoolkit.studies.cli import main

@@ -1,8 +1,8 @@
 """Pictures for light and dark pages, and thumbnails of the gallery.
 
-A picture ``NAME.svg`` or ``NAME.png`` with a ``NAME-dark`` beside it is shown as one of the two. Figures of notebooks, which
-are SVG, get that dark version here. A picture of ``docs/_pictures`` that the build makes anew is shown from there. A list in a
-container ``examples`` gets the first figure of each page that it links to.
+A picture ``NAME.svg`` or ``NAME.png`` with a ``NAME-dark`` beside it is shown as one of the two. Figures of notebooks,
+which are SVG, get that dark version here. A picture of ``docs/_pictures`` that the build makes anew is shown from there.
+A list in a container ``examples`` gets the first figure of each page that it links to.
 """
 
 import os
@@ -28,7 +28,7 @@ def darkened(svg: str) -> str:
     def mirrored(found: re.Match[str]) -> str:
         red, green, blue = (int(found[0][i : i + 2], 16) for i in (1, 3, 5))
         if max(red, green, blue) - min(red, green, blue) > 24:
-            dark = 0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2 < 0.25 * 255**2.2
+            dark = 0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2 < 0.2 * 255**2.2
             part = 0.35 if dark else 0.0  # of white
             return "#" + "".join(f"{round(one + part * (255 - one)):02x}" for one in (red, green, blue))
         return "#" + 3 * f"{round(20 + (255 - (red + green + blue) / 3) * 220 / 255):02x}"
@@ -71,10 +71,10 @@ def read(app: Any, tree: nodes.document) -> None:
     for item in (item for box in tree.findall(nodes.container) if "examples" in box["classes"]
                  for item in box.findall(nodes.list_item)):  # fmt: skip
         link = next(iter(item.findall(pending_xref)))
-        item["example"] = (Path(name).parent / link["reftarget"]).with_suffix("").as_posix()
+        item["example"] = link["reftarget"]
 
 
-def resolved(app: Any, tree: nodes.document, name: str) -> None:
+def resolved(app: Any, tree: nodes.document, _name: str) -> None:
     """Put the thumbnails before their links."""
     for item in tree.findall(lambda node: isinstance(node, nodes.list_item) and "example" in node):
         found = app.env.first_figures.get(item["example"])
