@@ -39,7 +39,7 @@ html_css_files = ["site.css"]
 html_sidebars = {page: [] for page in ("index", "tutorial", "contributing")}
 html_theme = "pydata_sphinx_theme"
 html_title = "ldctoolkit"
-html_theme_options = {"secondary_sidebar_items": ["page-toc"], "show_prev_next": False}
+html_theme_options = {"secondary_sidebar_items": {"index": [], "**": ["page-toc"]}, "show_prev_next": False}
 html_copy_source = False
 
 myst_enable_extensions = ["colon_fence"]
@@ -48,6 +48,7 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_execution_in_temp = True
+nb_merge_streams = True
 
 autosummary_generate = True
 # beside Gain and Study, where a file system does not tell capitals

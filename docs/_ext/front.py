@@ -22,7 +22,7 @@ import ldctoolkit as ldc
 from ldctoolkit.studies.cli import main
 
 _ROOT = Path(__file__).parents[2]
-_SCREEN = {"width": 1100, "height": 600}
+_SCREEN = {"width": 1100, "height": 545}
 
 
 def small_study() -> dict[str, Any]:
@@ -39,8 +39,8 @@ def draw(folder: Path, results: Any, study: Any) -> None:
     import matplotlib.pyplot as plt
 
     ranking = ldc.rank_study(results, study)
-    with mpl.rc_context(STYLE | {"font.size": 9}):
-        _, axes = plt.subplots(figsize=(4.8, 2.7), layout="constrained")
+    with mpl.rc_context(STYLE | {"font.size": 8.5}):
+        _, axes = plt.subplots(figsize=(4.2, 2.1), layout="constrained")
         axes = ldc.plot_trade_off(ranking, x="jerk_added_peak_p95", y="S", ax=axes)
         axes.set(xlabel="Added jerk, 95 % quantile [m/s³]", ylabel="Mean S [m·s]")
         axes.figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
@@ -52,7 +52,7 @@ def draw(folder: Path, results: Any, study: Any) -> None:
         i = int(np.argsort(scenarios.d_y)[-5])
         law = best.controller()
         outcome = ldc.simulate(law, scenarios, best.y_s, setup=study.setup(), trajectories=True)
-        _, axes = plt.subplots(figsize=(4.8, 2.7), layout="constrained")
+        _, axes = plt.subplots(figsize=(4.2, 2.1), layout="constrained")
         axes = ldc.plot_departure(outcome, i, axes, scenarios=scenarios, label=law.title)
         axes.set(title="", xlabel="Time since the crossing [s]", ylabel="Edge beyond the line [m]")
         _save(folder / "departure.svg", axes)

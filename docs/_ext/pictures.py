@@ -1,7 +1,7 @@
 """Pictures for light and dark pages, and thumbnails of the gallery.
 
 A picture ``NAME.svg`` or ``NAME.png`` with a ``NAME-dark`` beside it is shown as one of the two. Figures of notebooks,
-which are SVG, get that dark version here. A picture of ``docs/_pictures`` that the build makes anew is shown from there.
+which are SVG, get that dark version here. One of ``docs/_pictures`` made in this build is shown instead.
 A list in a container ``examples`` gets the first figure of each page that it links to.
 """
 
