@@ -39,7 +39,9 @@ html_css_files = ["site.css"]
 html_sidebars = {page: [] for page in ("index", "tutorial", "contributing")}
 html_theme = "pydata_sphinx_theme"
 html_title = "ldctoolkit"
-html_theme_options = {"secondary_sidebar_items": {"index": [], "**": ["page-toc"]}, "show_prev_next": False}
+html_theme_options = {
+    "secondary_sidebar_items": ["page-toc"], "show_prev_next": False, "navbar_persistent": ["search-button"],
+}  # fmt: skip
 html_copy_source = False
 
 myst_enable_extensions = ["colon_fence"]

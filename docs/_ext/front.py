@@ -40,7 +40,7 @@ def draw(folder: Path, results: Any, study: Any) -> None:
 
     ranking = ldc.rank_study(results, study)
     with mpl.rc_context(STYLE | {"font.size": 8.5}):
-        _, axes = plt.subplots(figsize=(4.2, 2.1), layout="constrained")
+        _, axes = plt.subplots(figsize=(4.8, 1.95), layout="constrained")
         axes = ldc.plot_trade_off(ranking, x="jerk_added_peak_p95", y="S", ax=axes)
         axes.set(xlabel="Added jerk, 95 % quantile [m/s³]", ylabel="Mean S [m·s]")
         axes.figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
@@ -52,7 +52,7 @@ def draw(folder: Path, results: Any, study: Any) -> None:
         i = int(np.argsort(scenarios.d_y)[-5])
         law = best.controller()
         outcome = ldc.simulate(law, scenarios, best.y_s, setup=study.setup(), trajectories=True)
-        _, axes = plt.subplots(figsize=(4.2, 2.1), layout="constrained")
+        _, axes = plt.subplots(figsize=(4.8, 1.95), layout="constrained")
         axes = ldc.plot_departure(outcome, i, axes, scenarios=scenarios, label=law.title)
         axes.set(title="", xlabel="Time since the crossing [s]", ylabel="Edge beyond the line [m]")
         _save(folder / "departure.svg", axes)

@@ -107,7 +107,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 @pytest.fixture(scope="module")
-def pages() -> list[Path]:
+def site_pages() -> list[Path]:
     """All pages of the site that `make docs` built."""
     site = ROOT / "out/docs"
     found = sorted(site.rglob("*.html"))
