@@ -78,7 +78,14 @@ PAGES = sorted(
 WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]  # make docs executes the tutorial and the gallery
 # the laws of a guide are a package: tests/test_third_party.py installs and runs it
 WITH_COMMANDS = [page for page in ("README.md", *PAGES) if page != "docs/how-to/my-law.md" and commands(page)]
-LONG = ("docs/gallery/", "docs/how-to/reading", "docs/explanation/risk", "docs/explanation/mpc", "docs/how-to/my-mpc")
+LONG = (
+    "docs/gallery/",
+    "docs/how-to/coming",
+    "docs/how-to/reading",
+    "docs/explanation/risk",
+    "docs/explanation/mpc",
+    "docs/how-to/my-mpc",
+)
 PRINTED = {
     "docs/explanation/closed-loop.md": 7,
     "docs/explanation/plant-options.md": 1,

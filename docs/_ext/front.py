@@ -22,7 +22,7 @@ import ldctoolkit as ldc
 from ldctoolkit.studies.cli import main
 
 _ROOT = Path(__file__).parents[2]
-_SCREEN = {"width": 1100, "height": 545}
+_SCREEN = {"width": 1100, "height": 524}
 
 
 def small_study() -> dict[str, Any]:
