@@ -10,7 +10,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help environment study test tier test-all test-long test-slow test-browser test-lowest release ruff lint docs bench bench-history format clean
+.PHONY: help environment study test tier test-all test-long test-slow test-browser test-lowest release ruff lint docs pictures bench bench-history format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -68,7 +68,7 @@ test-long: $(VENV)/.dev $(VENV)/.docs $(VENV)/.axe-core-$(AXE_CORE)
 test-slow:
 	LDC_TESTS=long OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "(slow or hypothesis) and not browser"
 
-test-browser:  # one process: a browser beside another may wait for ever
+test-browser: docs  # one process: a browser beside another may wait for ever; it opens the built pages too
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m browser
 
 # an environment of its own, without constraints.txt; tools that check the code itself run in the other one
@@ -87,6 +87,9 @@ release: $(VENV)/.dev  ## wheel and sdist into dist, tried in a clean environmen
 docs: $(VENV)/.docs  ## the documentation into out/docs; a warning is an error
 	@rm -rf docs/reference/generated
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -d out/docs-cache docs out/docs
+
+pictures: $(VENV)/.dev  ## the README's pictures in docs/_pictures anew; needs Chromium
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/_ext/front.py docs/_pictures
 
 bench: $(VENV)/.bench  ## ratios against named references, beside those that the documentation claims
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/history.py

@@ -10,22 +10,28 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the pages' own kernels, too
 
+import front
 import generated
+from pictures import MADE, STYLE
+from sphinx.util import logging
 
 import ldctoolkit
 
 # kernels warn of every connection that is not encrypted, also on one machine
 profile = Path(__file__).parents[1] / "out/ipython/profile_default"
 profile.mkdir(parents=True, exist_ok=True)
-(profile / "ipython_kernel_config.py").write_text("c.IPKernelApp.log_level = 'ERROR'\n")
+figures = f"c.InlineBackend.figure_formats = ['svg']\nc.InlineBackend.rc = {STYLE!r}\n"
+(profile / "ipython_kernel_config.py").write_text(f"c.IPKernelApp.log_level = 'ERROR'\n{figures}")
 os.environ["IPYTHONDIR"] = str(profile.parent)
 
 generated.write(Path(__file__).parent / "reference" / "_generated")
+if missing := front.write(MADE):
+    logging.getLogger(__name__).info("The first page shows the report's stored picture: %s.", missing)
 
 project, author = "ldctoolkit", "The ldctoolkit developers"
 version = release = ldctoolkit.__version__
 copyright = author
-extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
+extensions = ["pictures", "myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
 exclude_patterns = ["_ext", "reference/_generated"]
 templates_path = ["_templates"]
 html_static_path = ["_static"]
@@ -33,7 +39,9 @@ html_css_files = ["site.css"]
 html_sidebars = {page: [] for page in ("index", "tutorial", "contributing")}
 html_theme = "pydata_sphinx_theme"
 html_title = "ldctoolkit"
-html_theme_options = {"secondary_sidebar_items": ["page-toc"], "show_prev_next": False}
+html_theme_options = {
+    "secondary_sidebar_items": ["page-toc"], "show_prev_next": False, "navbar_persistent": ["search-button"],
+}  # fmt: skip
 html_copy_source = False
 
 myst_enable_extensions = ["colon_fence"]
@@ -42,6 +50,7 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_execution_in_temp = True
+nb_merge_streams = True
 
 autosummary_generate = True
 # beside Gain and Study, where a file system does not tell capitals

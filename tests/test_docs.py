@@ -29,9 +29,45 @@ from ldctoolkit.testing import contract_faults
 
 
 def test_the_readmes_python_runs_as_a_script(tmp_path: Path) -> None:
-    (tmp_path / "readme.py").write_text("\n".join(blocks("README.md", "python")))
+    (tmp_path / "readme.py").write_text(blocks("README.md", "python")[1])
     assert "shape: (7, 5)" in python("readme.py", cwd=tmp_path)  # no control, and three designs at two thresholds
     assert [path.name for path in tmp_path.iterdir()] == ["readme.py"]
+
+
+def test_the_readmes_first_lines_print_what_stands_below_them(tmp_path: Path) -> None:
+    (tmp_path / "first.py").write_text(blocks("README.md", "python")[0])
+    assert python("first.py", cwd=tmp_path).strip() == blocks("README.md", "text")[0].strip()
+
+
+def test_the_readmes_pictures_are_there_for_light_and_dark() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    pictures = re.findall(r'srcset="([^"]+)">\n  <img src="([^"]+)" width="\d+%" alt="([^"]+)">', text)
+    assert len(pictures) == text.count("<img ") == 3
+    for dark, light, words in pictures:
+        assert Path(dark).stem == Path(light).stem + "-dark"
+        assert len(words.split()) > 8
+        for name in (dark, light):
+            assert 5_000 < (ROOT / name).stat().st_size < 60_000
+    committed = {path.name for path in (ROOT / "docs/_pictures").iterdir()}
+    assert committed == {Path(name).name for dark, light, _ in pictures for name in (dark, light)}
+
+
+def test_a_drawing_for_the_dark_has_light_words_and_the_same_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "docs/_ext")
+    darkened = importlib.import_module("pictures").darkened
+    drawn = '<path id="m1" style="fill: #ffffff; stroke: #000000"/><use style="fill: #767676; stroke: #d55e00"/>'
+    assert darkened(drawn) == (
+        '<path id="m1" style="fill: #141414; stroke: #f0f0f0"/><use style="fill: #8a8a8a; stroke: #d55e00"/>'
+    )
+    assert darkened("#0072b2") == "#59a3cd"  # a dark blue is lighter
+
+
+def test_the_gallery_shows_each_example_once() -> None:
+    text = (ROOT / "docs/gallery/index.md").read_text(encoding="utf-8")
+    cards = re.findall(r"^- \[.+\]\((.+)\.md\) .+$", text, flags=re.M)
+    pages = {path.stem for path in (ROOT / "docs/gallery").glob("*.md")} - {"index"}
+    assert len(cards) == len(set(cards)) >= 12
+    assert set(cards) == pages
 
 
 PAGES = sorted(
@@ -42,7 +78,14 @@ PAGES = sorted(
 WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]  # make docs executes the tutorial and the gallery
 # the laws of a guide are a package: tests/test_third_party.py installs and runs it
 WITH_COMMANDS = [page for page in ("README.md", *PAGES) if page != "docs/how-to/my-law.md" and commands(page)]
-LONG = ("docs/gallery/", "docs/how-to/reading", "docs/explanation/risk", "docs/explanation/mpc", "docs/how-to/my-mpc")
+LONG = (
+    "docs/gallery/",
+    "docs/how-to/coming",
+    "docs/how-to/reading",
+    "docs/explanation/risk",
+    "docs/explanation/mpc",
+    "docs/how-to/my-mpc",
+)
 PRINTED = {
     "docs/explanation/closed-loop.md": 7,
     "docs/explanation/plant-options.md": 1,
@@ -54,7 +97,7 @@ PRINTED = {
 
 
 def test_the_site_stays_small() -> None:
-    assert len(PAGES) <= 55
+    assert len(PAGES) <= 65
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 import pytest
 
 from helpers.browser_pages import Made
+from helpers.cli import ROOT
 
 LONG = 600_000  # milliseconds that a step may take which is sure to end, on a machine that does other things as well
 
@@ -103,3 +104,16 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Made:
     root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "pages"
     root.mkdir(exist_ok=True)
     return Made(root)
+
+
+@pytest.fixture(scope="module")
+def site_pages() -> list[Path]:
+    """All pages of the site that `make docs` built."""
+    site = ROOT / "out/docs"
+    found = sorted(site.rglob("*.html"))
+    sources = [path for folder in ("docs/_static", "docs/_ext") for path in (ROOT / folder).glob("*.*")]
+    sources += [path for path in (ROOT / "docs").rglob("*.md") if "generated" not in path.parent.name]
+    newest = max(path.stat().st_mtime for path in sources)
+    if not found or (site / "searchindex.js").stat().st_mtime < newest:
+        missing("the site in out/docs is missing or older than its sources; `make docs` builds it")
+    return found
