@@ -1,11 +1,11 @@
 """The job with do-mpc and NumPy.
 
 The LQR's gains are do-mpc's, one for each speed; the loop drives all departures at once in NumPy. The MPC is one do-mpc
-controller for all departures, with the matrices of the vehicle as parameters and the lane as a time-varying one, so that
-it is set up once. As its documentation advises: output of IPOPT off, no storing of full solutions, warm start from the
+controller for all departures, with the vehicle's matrices as parameters and the lane as a time-varying one, so that it
+is set up once. As its documentation advises: output of IPOPT off, no storing of full solutions, warm start from the
 solution before. IPOPT is told that the problem is a QP, and to start close to the last solution: 3 iterations a sample
-instead of 5. Compiling the problem to C (`compile_nlp`) was tried and gained nothing: two thirds of the time is in
-assembling parameters and reading solutions, in Python.
+instead of 5. The problem compiled to C, as `compile_nlp` does it, was tried and gained nothing: two thirds of the time
+go into setting parameters and reading solutions, in Python.
 """
 
 import warnings
@@ -79,7 +79,8 @@ def controller(given: dict[str, np.ndarray]) -> Any:
     mpc.settings.supress_ipopt_output()
     mpc.settings.nlpsol_opts |= {
         "expand": True, "ipopt.hessian_constant": "yes", "ipopt.jac_c_constant": "yes", "ipopt.mu_init": 1e-6,
-        "ipopt.warm_start_init_point": "yes", "ipopt.warm_start_bound_push": 1e-8, "ipopt.warm_start_mult_bound_push": 1e-8,
+        "ipopt.warm_start_init_point": "yes", "ipopt.warm_start_bound_push": 1e-8,
+        "ipopt.warm_start_mult_bound_push": 1e-8,
     }  # fmt: skip
     x, r, p = model.x["x"], model.tvp["r"], model.p
     delta = model.x["before"] + model.u["change"]
@@ -139,5 +140,5 @@ if __name__ == "__main__":
     warnings.simplefilter("ignore", FutureWarning)  # of CasADi, about calls inside do-mpc
     job.main(
         "do-mpc + NumPy", __file__, ("do-mpc", "casadi", "numpy", "scipy"),
-        {"none": no_control, "lqr": lqr, "mpc": mpc}, repeats={"mpc": 1},
+        {"none": no_control, "lqr": lqr, "mpc": mpc}, once=("mpc",),
     )  # fmt: skip

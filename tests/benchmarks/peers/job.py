@@ -1,11 +1,11 @@
 """The job that every peer does, and what all of them but the toolkit need for it: vehicle, takeover, score.
 
-Three laws on the same departures, S = integral of |e_y| over each departure, the mean of S for each law. Departures come
+Three laws on the same departures: S = integral of |e_y| over each departure, and its mean for each law. Departures come
 from a file that `run.py` draws and writes. The plant is the linear single track at the speed of the trigger, sampled
 with DT; control starts where the edge is further than Y_S beyond the line, in the steady turn of the recorded path. The
 laws: none; an LQR with feedforward for the bend; an MPC with the lane previewed and with limits on angle and rate.
 
-Lines between "job" and "end of the job" are counted, without blank ones, comments and docstrings.
+Lines of a script between its marks "job" and "end of job" are counted, without blank ones, comments and docstrings.
 """
 
 import argparse
@@ -14,7 +14,6 @@ import dataclasses
 import importlib.metadata
 import json
 import platform
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -134,7 +133,7 @@ def lines(path: str | Path) -> int:
 
 
 def timed(work: Callable[[], np.ndarray], repeats: int) -> tuple[np.ndarray, float, float]:
-    """What it gives, and processor time [s]: the best run after the first, and what the first took more, as wall time."""
+    """What it gives, the best processor time [s] of the calls after the first, and the wall time [s] of the first."""
     wall = time.perf_counter()
     result = work()
     wall, best = time.perf_counter() - wall, np.inf
@@ -142,31 +141,43 @@ def timed(work: Callable[[], np.ndarray], repeats: int) -> tuple[np.ndarray, flo
         start = time.process_time()
         result = work()
         best = min(best, time.process_time() - start)
-    return result, best, max(wall - best, 0.0)
+    return result, best, wall
+
+
+Departures = dict[str, np.ndarray]
 
 
 def main(
-    peer: str, script: str, packages: tuple[str, ...], laws: dict[str, Callable[[Any], np.ndarray]], **more: Any
+    peer: str,
+    script: str,
+    packages: tuple[str, ...],
+    laws: dict[str, Callable[[Departures], np.ndarray]],
+    *,
+    shared: int | None = None,
+    once: tuple[str, ...] = (),
+    more: Callable[[Departures], dict[str, Any]] = lambda _: {},
 ) -> None:
-    """Do the job on the departures of a file, S into another, and print the line of JSON."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("departures", type=Path)
-    parser.add_argument("scores", type=Path)
+    """Do the job on the departures of a file, keep S in another, and print the line of JSON.
+
+    Laws `once` are timed once after the first call, others three times. `shared`: lines of this module that the peer
+    needs, all of them by default.
+    """
+    parser = argparse.ArgumentParser(description=peer)
+    parser.add_argument("departures", type=Path, help="file of departures (.npz)")
+    parser.add_argument("scores", type=Path, help="file for S of each law (.npz)")
     given = parser.parse_args()
     with np.load(given.departures) as file:
         departures = {name: file[name] for name in file.files}
-    shared = more.pop("shared", lines(__file__))
-    own, repeats = lines(script), more.pop("repeats", {})
-    record: dict[str, Any] = {
+    runs = {law: timed(lambda work=work: work(departures), 1 if law in once else 3) for law, work in laws.items()}
+    np.savez(given.scores, **{law: S for law, (S, _, _) in runs.items()})
+    record = {
         "peer": peer,
-        "versions": {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in packages},
-        "lines": own, "lines_shared": shared, "seconds": {}, "first": {}, "mean_S": {},
-    }  # fmt: skip
-    scores = {}
-    for law, work in laws.items():
-        S, best, first = timed(lambda work=work: work(departures), repeats.get(law, 3))
-        scores[law] = S
-        record["seconds"][law], record["first"][law] = round(best, 5), round(first, 3)
-        record["mean_S"][law] = round(float(S.mean()), 7)
-    np.savez(given.scores, **scores)
-    print(json.dumps(record | more), file=sys.stdout, flush=True)
+        "versions": {"Python": platform.python_version()}
+        | {name: importlib.metadata.version(name) for name in packages},
+        "lines": lines(script),
+        "lines_shared": lines(__file__) if shared is None else shared,
+        "seconds": {law: round(best, 5) for law, (_, best, _) in runs.items()},
+        "first": {law: round(first, 3) for law, (_, _, first) in runs.items()},
+        "mean_S": {law: round(float(S.mean()), 7) for law, (S, _, _) in runs.items()},
+    }
+    print(json.dumps(record | more(departures)), flush=True)

@@ -2,10 +2,12 @@
 
 For each departure: the plant with the lane as two more states, yaw rate and its slope, so that sampling it is exact;
 `control.dlqr` for gain and terminal weight; the closed loop as a discrete-time system, simulated by
-`control.initial_response`. The MPC's QP is solved by OSQP, set up once for each departure and warm started, as the
-library has no QP solver; its own `control.optimal` goes through SLSQP, see `nonlinear` for what that takes.
+`control.initial_response`. The library has no QP solver: the MPC's QP goes to OSQP, set up once for each departure and
+warm started. Its own `control.optimal` solves nonlinear problems by simulating the plant for each trial of SLSQP; for a
+QP that is the slower way by far.
 """
 
+import control as ct
 import job
 import numpy as np
 import osqp
@@ -13,7 +15,6 @@ import scipy.sparse as sp
 from job import DELTA_MAX, DT, HORIZON, R_LQR, R_MPC, RATE_MAX, Q
 
 # --------------------------------------------------------------------------------------------------------------- job
-import control as ct
 
 
 def sampled(v: np.ndarray) -> list[ct.StateSpace]:
@@ -88,5 +89,5 @@ def mpc(departures: dict[str, np.ndarray]) -> np.ndarray:
 if __name__ == "__main__":
     job.main(
         "python-control", __file__, ("control", "osqp", "numpy", "scipy"),
-        {"none": no_control, "lqr": lqr, "mpc": mpc}, repeats={"mpc": 1},
+        {"none": no_control, "lqr": lqr, "mpc": mpc}, once=("mpc",),
     )  # fmt: skip

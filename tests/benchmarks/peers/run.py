@@ -1,0 +1,175 @@
+"""The job by every peer, S compared, and the table of `docs/explanation/comparison.md`: `python tests/benchmarks/peers/run.py`.
+
+A peer whose packages this interpreter does not have gets an environment of its own below `out/peers`, made once by pip. Each
+script runs three times, one process at a time with one thread, and the best times count. `results.json` and the page
+are written; with the argument `--table` only the page is, from the results that are there. The exit status is 1 where S
+of a peer is further from ours than `AGREE` says.
+"""
+
+import argparse
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+import venv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[2]
+RESULTS, PAGE = HERE / "results.json", ROOT / "docs/explanation/comparison.md"
+MARKS = "<!-- written by tests/benchmarks/peers/run.py -->\n", "<!-- end of what it writes -->\n"
+SCRIPTS = {
+    "here": (),
+    "python_control": ("control", "osqp"),
+    "do_mpc_numpy": ("do-mpc",),
+    "commonroad_loop": ("commonroad-control",),
+}
+# largest difference of the mean of S from ours, relative; CommonRoad's vehicle drives in the plane
+AGREE = {"do-mpc + NumPy": 1e-5, "python-control": 1e-5, "CommonRoad control": 1e-3}
+REPEATS, SIDE, SEED = 3, 100, 1
+LAWS = {"none": "no control", "lqr": "LQR", "mpc": "MPC"}
+
+
+def interpreter(script: str, packages: tuple[str, ...]) -> Path:
+    """One that has the packages: this one, or that of an environment below `out/peers`."""
+    try:
+        for name in packages:
+            importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        folder = ROOT / "out" / "peers" / script
+        python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
+        if not python.exists():
+            venv.create(folder, with_pip=True)
+            subprocess.run([python, "-m", "pip", "install", "--quiet", "scipy", *packages], check=True)
+        return python
+    return Path(sys.executable)
+
+
+def measured(script: str, python: Path, folder: Path, **environment: str) -> dict[str, Any]:
+    """The line that a script prints."""
+    threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+    command = [python, HERE / f"{script}.py", folder / "departures.npz", folder / f"{script}.npz"]
+    path = {"PYTHONPATH": str(ROOT)} if script == "here" else {}
+    done = subprocess.run(
+        command, env=os.environ | threads | path | environment, stdout=subprocess.PIPE, text=True, check=True
+    )
+    record: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return record
+
+
+def best(records: list[dict[str, Any]]) -> dict[str, Any]:
+    """One record with the least of all times."""
+    one = dict(records[0])
+    for times in ("seconds", "first"):
+        one[times] = {law: min(record[times][law] for record in records) for law in one[times]}
+    if "study_seconds" in one:
+        one["study_seconds"] = min(record["study_seconds"] for record in records)
+    return one
+
+
+def processor() -> str:
+    """Its name, where the system tells it."""
+    info = Path("/proc/cpuinfo")
+    names = [line.partition(": ")[2] for line in info.read_text().splitlines() if line.startswith("model name")]
+    return f"{names[0] if names else platform.processor()}, {platform.machine()}, {os.cpu_count()} cores"
+
+
+def measure(folder: Path) -> dict[str, Any]:
+    """Results of all peers."""
+    import ldctoolkit as ldc
+
+    drawn = ldc.load_model("reference").sample(SIDE, SIDE, seed=SEED)
+    columns = ("T", "d_y", "v_mean", "a_mean", "c_0", "dc")
+    np.savez(folder / "departures.npz", **{name: getattr(drawn, name) for name in columns})
+    peers = []
+    for script, packages in SCRIPTS.items():
+        python = interpreter(script, packages)
+        print(f"{script}: {REPEATS} runs", file=sys.stderr, flush=True)
+        start = time.perf_counter()
+        record = best([measured(script, python, folder) for _ in range(REPEATS)])
+        if script == "here":
+            cold = measured(script, python, folder, NUMBA_CACHE_DIR=str(folder / "cache"))
+            record["compiling"] = round(sum(cold["first"].values()) - sum(record["first"].values()), 1)
+        print(f"{json.dumps(record)}\n{time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+        scores = np.load(folder / f"{script}.npz")
+        ours = np.load(folder / "here.npz")
+        record["largest_difference"] = {law: float(np.abs(scores[law] - ours[law]).max()) for law in scores.files}
+        peers.append(record)
+    day = datetime.datetime.now(datetime.UTC).date().isoformat()
+    return {"day": day, "processor": processor(), "departures": drawn.n, "peers": peers}
+
+
+def far(results: dict[str, Any]) -> list[str]:
+    """Peers and laws whose mean S is not ours."""
+    ours = results["peers"][0]["mean_S"]
+    return [
+        f"{one['peer']}, {LAWS[law]}: mean S {S}, ours {ours[law]}"
+        for one in results["peers"][1:]
+        for law, S in one["mean_S"].items()
+        if abs(S / ours[law] - 1.0) > AGREE[one["peer"]]
+    ]
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """A time to two significant digits."""
+    return "" if value is None else f"{float(f'{value:.{digits}g}'):g}"
+
+
+def tables(results: dict[str, Any]) -> str:
+    """What the page shows of the results."""
+    ours, *_ = peers = results["peers"]
+    rows = ["| | lines | and shared | LQR [s] | MPC [s] | first LQR [s] | first MPC [s] |", "| --- |" + " ---: |" * 6]
+    for one in peers:
+        shared = str(one["lines_shared"] or "")
+        times = (number(one[kind].get(law)) for kind in ("seconds", "first") for law in ("lqr", "mpc"))
+        rows.append(f"| {one['peer']} | {one['lines']} | {shared} | {' | '.join(times)} |")
+    means = ["| mean S [m s] | " + " | ".join(LAWS.values()) + " | most, one departure: LQR | MPC |"]
+    means.append("| --- |" + " ---: |" * 5)
+    for one in peers:
+        cells = [f"{one['mean_S'][law]:.5f}" if law in one["mean_S"] else "" for law in LAWS]
+        apart = [one["largest_difference"].get(law) if one is not ours else None for law in ("lqr", "mpc")]
+        cells += ["" if gap is None else f"{gap:.1e}" for gap in apart]
+        means.append(f"| {one['peer']} | {' | '.join(cells)} |")
+    versions = "; ".join(
+        f"{one['peer']}: {', '.join(f'{name} {version}' for name, version in one['versions'].items())}" for one in peers
+    )
+    return (
+        "\n".join(rows) + "\n\n"
+        f"Our ranked study of the three laws: {number(ours['study_seconds'])} s. Compiling our loops, once on a machine: "
+        f"{ours['compiling']:.0f} s.\n\n" + "\n".join(means) + "\n\n"
+        f"{results['departures']} departures; {results['day']}; {results['processor']}. {versions}.\n"
+    )
+
+
+def write_page(results: dict[str, Any]) -> None:
+    """Put the tables between their marks."""
+    text = PAGE.read_text(encoding="utf-8")
+    first, last = text.index(MARKS[0]) + len(MARKS[0]), text.index(MARKS[1])
+    PAGE.write_text(f"{text[:first]}\n{tables(results)}\n{text[last:]}", encoding="utf-8")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="the same job by every peer")
+    parser.add_argument("--table", action="store_true", help="only write the page from the results that are there")
+    if not parser.parse_args().table:
+        with tempfile.TemporaryDirectory() as folder:
+            results = measure(Path(folder))
+        RESULTS.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    results = json.loads(RESULTS.read_text(encoding="utf-8"))
+    write_page(results)
+    print(tables(results))
+    apart = far(results)
+    print(*apart, sep="\n", file=sys.stderr)
+    return 1 if apart else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
