@@ -11,11 +11,11 @@ Lines of a script between its marks "job" and "end of job" are counted, without 
 import argparse
 import ast
 import dataclasses
-import importlib.metadata
 import json
 import platform
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -172,8 +172,7 @@ def main(
     np.savez(given.scores, **{law: S for law, (S, _, _) in runs.items()})
     record = {
         "peer": peer,
-        "versions": {"Python": platform.python_version()}
-        | {name: importlib.metadata.version(name) for name in packages},
+        "versions": {"Python": platform.python_version()} | {name: version(name) for name in packages},
         "lines": lines(script),
         "lines_shared": lines(__file__) if shared is None else shared,
         "seconds": {law: round(best, 5) for law, (_, best, _) in runs.items()},

@@ -1,9 +1,9 @@
-"""The job by every peer, S compared, and the table of `docs/explanation/comparison.md`: `python tests/benchmarks/peers/run.py`.
+"""The job by every peer, S compared, the tables of `docs/explanation/comparison.md` written: run it by itself.
 
-A peer whose packages this interpreter does not have gets an environment of its own below `out/peers`, made once by pip. Each
-script runs three times, one process at a time with one thread, and the best times count. `results.json` and the page
-are written; with the argument `--table` only the page is, from the results that are there. The exit status is 1 where S
-of a peer is further from ours than `AGREE` says.
+A peer whose packages this interpreter does not have gets an environment of its own below `out/peers`, made once by pip.
+Each script runs three times, one process at a time with one thread, and the best times count. `results.json` and the
+page are written; with the argument `--table` only the page is, from the results that are there. The exit status is 1
+where the mean S of a peer is further from ours than `AGREE` says.
 """
 
 import argparse
@@ -138,13 +138,12 @@ def tables(results: dict[str, Any]) -> str:
         apart = [one["largest_difference"].get(law) if one is not ours else None for law in ("lqr", "mpc")]
         cells += ["" if gap is None else f"{gap:.1e}" for gap in apart]
         means.append(f"| {one['peer']} | {' | '.join(cells)} |")
-    versions = "; ".join(
-        f"{one['peer']}: {', '.join(f'{name} {version}' for name, version in one['versions'].items())}" for one in peers
-    )
+    used = sorted({item for one in peers for item in one["versions"].items()})
+    versions = ", ".join(f"{name} {version}" for name, version in used)
     return (
         "\n".join(rows) + "\n\n"
-        f"Our ranked study of the three laws: {number(ours['study_seconds'])} s. Compiling our loops, once on a machine: "
-        f"{ours['compiling']:.0f} s.\n\n" + "\n".join(means) + "\n\n"
+        f"The ranked study of the three laws with ldctoolkit: {number(ours['study_seconds'])} s. "
+        f"Compiling its loops, once on a machine: {ours['compiling']:.0f} s.\n\n" + "\n".join(means) + "\n\n"
         f"{results['departures']} departures; {results['day']}; {results['processor']}. {versions}.\n"
     )
 
