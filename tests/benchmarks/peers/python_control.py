@@ -3,7 +3,7 @@
 For each departure: the plant with the lane as two more states, yaw rate and its slope, so that sampling it is exact;
 `control.dlqr` for gain and terminal weight; the closed loop as a discrete-time system, simulated by
 `control.initial_response`. The library has no QP solver: the MPC's QP goes to OSQP, set up once for each departure and
-warm started. Its own `control.optimal` is for nonlinear problems: SLSQP, which simulates the plant for each trial, 2 s a
+warm started. Its own `control.optimal` is for nonlinear problems: SLSQP that simulates the plant for each trial, 2 s a
 sample here.
 """
 

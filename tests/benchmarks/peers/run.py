@@ -87,7 +87,7 @@ def measure(folder: Path) -> dict[str, Any]:
     import ldctoolkit as ldc
 
     drawn = ldc.load_model("reference").sample(SIDE, SIDE, seed=SEED)
-    columns = ("T", "d_y", "v_mean", "a_mean", "c_0", "dc")
+    columns = ("T", "d_y", "v_mean", "a_mean", "c_0", "dc", "side")
     np.savez(folder / "departures.npz", **{name: getattr(drawn, name) for name in columns})
     peers = []
     for script, packages in SCRIPTS.items():
