@@ -137,7 +137,7 @@ def test_the_comparison_shows_what_was_measured(monkeypatch: pytest.MonkeyPatch)
     assert run.far(results) == []
     results["peers"][1]["mean_S"]["lqr"] *= 1.00002
     (far,) = run.far(results)
-    assert far.startswith("python-control, LQR: mean S 2.15708")
+    assert far.startswith("do-mpc + NumPy, LQR: mean S 2.15708")
 
 
 def test_public_sources_are_the_same_on_the_page_and_at_the_command_line() -> None:

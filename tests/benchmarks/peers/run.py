@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 import venv
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,10 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
 RESULTS, PAGE = HERE / "results.json", ROOT / "docs/explanation/comparison.md"
 MARKS = "<!-- written by tests/benchmarks/peers/run.py -->\n", "<!-- end of what it writes -->\n"
-SCRIPTS = {
+SCRIPTS = {  # in the order of the table's columns
     "here": (),
-    "python_control": ("control", "osqp"),
     "do_mpc_numpy": ("do-mpc",),
+    "python_control": ("control", "osqp"),
     "commonroad_loop": ("commonroad-control",),
 }
 # largest difference of the mean of S from ours, relative; CommonRoad's vehicle drives in the plane
@@ -123,32 +124,59 @@ def number(value: float | None, digits: int = 2) -> str:
     return "" if value is None else f"{float(f'{value:.{digits}g}'):g}"
 
 
+CONTAINS = """
+| departures like the recorded ones | [model](scenario-model.md) fitted to recordings | to write | to write | scenarios of recorded traffic |
+| intervals for all designs at once | [yes](statistics.md) | to write | to write | to write |
+| acceleration, jerk, steering, way back | [yes](../reference/metrics.md) | to write | to write | part of it |
+| requirements: accepted or refused | [yes](../how-to/my-requirements.md) | to write | to write | to write |
+| Euro NCAP, UN R79, ISO 11270 | [yes](standards.md) | to write | to write | to write |
+| actuator, camera, tyres, mismatch | [options](plant-options.md) | in your model | in your model | disturbance and noise models |
+| the driver's hands | [yes](driver.md) | to write | to write | to write |
+| stability margins | [of each design](../how-to/reviewing-a-design.md) | to write | yes, with plots | to write |
+| robust MPC | to write | multi-stage MPC | to write | to write |
+| state estimation | Kalman filter of the camera | EKF, moving horizon | Kalman filter, moving horizon | to write |
+| C code, tested in the loop | [yes](../how-to/exporting.md) | functions of the problem; IPOPT remains | to write | to write |
+| report to read | [yes](../how-to/reading-the-report.md) | plots, animation | plots | plots, animation |
+| other tasks | lane departure only | any process | any system | any road, with traffic |
+"""  # fmt: skip  # noqa: E501
+
+
 def tables(results: dict[str, Any]) -> str:
     """What the page shows of the results."""
     ours, *_ = peers = results["peers"]
     said = ours["study"]
-    rows = ["| | lines | and shared | LQR [s] | MPC [s] | first LQR [s] | first MPC [s] |", "| --- |" + " ---: |" * 6]
-    for one in peers:
-        shared = str(one["lines_shared"] or "")
-        times = (number(one[kind].get(law)) for kind in ("seconds", "first") for law in ("lqr", "mpc"))
-        rows.append(f"| {one['peer']} | {one['lines']} | {shared} | {' | '.join(times)} |")
-    means = ["| mean S [m s] | " + " | ".join(LAWS.values()) + " | most, one departure: LQR | MPC |"]
-    means.append("| --- |" + " ---: |" * 5)
-    for one in peers:
-        cells = [f"{one['mean_S'][law]:.5f}" if law in one["mean_S"] else "" for law in LAWS]
-        apart = [one["largest_difference"].get(law) if one is not ours else None for law in ("lqr", "mpc")]
-        cells += ["" if gap is None else f"{gap:.1e}" for gap in apart]
-        means.append(f"| {one['peer']} | {' | '.join(cells)} |")
+    rows: dict[str, Callable[[dict[str, Any]], Any]] = {
+        "": lambda one: one["peer"],
+        "---": lambda one: "---",
+        "lines of code": lambda one: one["lines"],
+        "and of what peers share": lambda one: one["lines_shared"] or "",
+        "LQR [s]": lambda one: number(one["seconds"]["lqr"]),
+        "MPC [s]": lambda one: number(one["seconds"].get("mpc")),
+        "first call, LQR [s]": lambda one: number(one["first"]["lqr"]),
+        "first call, MPC [s]": lambda one: number(one["first"].get("mpc")),
+    }
+    for law, title in LAWS.items():
+        rows[f"mean S, {title} [m s]"] = lambda one, law=law: (
+            f"{one['mean_S'][law]:.5f}" if law in one["mean_S"] else ""
+        )
+    for law in ("lqr", "mpc"):
+        gap = f"largest difference of S, {LAWS[law]} [m s]"
+        rows[gap] = lambda one, law=law: number(None if one is ours else one["largest_difference"].get(law))
+    table = [f"| {title} | {' | '.join(str(cell(one)) for one in peers)} |" for title, cell in rows.items()]
     used = sorted({item for one in peers for item in one["versions"].items()})
-    versions = ", ".join(f"{name} {version}" for name, version in used)
     return (
-        "\n".join(rows) + "\n\n" + "\n".join(means) + "\n\n"
-        f"The ranked study of the three laws with ldctoolkit takes {number(ours['study_seconds'])} s, compiling its loops "
-        f"{ours['compiling']:.0f} s, once on a machine. Beside the same means the study says:\n\n"
-        f"- the LQR's S is {said['S_low']:.2f} to {said['S_high']:.2f} m s, its difference from no control "
-        f"{said['low']:.2f} to {said['high']:.2f} m s, with 95 % confidence for all designs at once;\n"
-        f"- the MPC has the least S and misses the requirement `{said['mpc_unmet']}`: it takes {said['mpc_a_y']:.1f} m/s².\n\n"
-        f"{results['departures']} departures; {results['day']}; {results['processor']}. {versions}.\n"
+        "\n".join(table)
+        + f"""{CONTAINS}
+The ranked study of the three laws takes {number(ours["study_seconds"])} s here; its loops are compiled in
+{ours["compiling"]:.0f} s, once on a machine. Beside the same means it says, with 95 % confidence for all designs:
+
+- The LQR's S is {said["S_low"]:.2f} to {said["S_high"]:.2f} m s, its difference from no control {said["low"]:.2f} to
+  {said["high"]:.2f} m s.
+- The MPC has the least S and misses the requirement `{said["mpc_unmet"]}`: it takes {said["mpc_a_y"]:.1f} m/s².
+
+{results["departures"]} departures; {results["day"]}; {results["processor"]}.
+{", ".join(f"{name} {version}" for name, version in used)}.
+"""
     )
 
 
