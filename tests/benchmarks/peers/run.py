@@ -47,9 +47,10 @@ def interpreter(script: str, packages: tuple[str, ...]) -> Path:
     except importlib.metadata.PackageNotFoundError:
         folder = ROOT / "out" / "peers" / script
         python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
-        if not python.exists():
+        if not (folder / "installed").exists():
             venv.create(folder, with_pip=True)
             subprocess.run([python, "-m", "pip", "install", "--quiet", "scipy", *packages], check=True)
+            (folder / "installed").touch()
         return python
     return Path(sys.executable)
 
