@@ -12,7 +12,7 @@ from ..ranking.ranking import Ranking
 from ..ranking.verdict import design_name, optimism_text, recordings_text
 from ..tables import Cell, Column, Row, Table, to_html
 from ..text import DASH, difference_text, percent, plural
-from .charts import Axis, Chart, Dot, Series, Style, dots
+from .charts import LEFT_IS_BETTER, Axis, Chart, Dot, Series, Style, dots
 from .context import Context
 from .shell import Section, figure, paragraphs
 
@@ -25,13 +25,13 @@ def section(context: Context) -> Section:
     body = paragraphs(*_confidence_sentences(context))
     body += figure(
         charts,
-        f"Left: mean S with its {percent(context.ranking.confidence, 0)} interval, for all designs at once"
-        f"{'; open: on the fresh scenarios' if context.ranking.fresh.scenarios else ''}. Right: mean S over the first "
-        "scenarios, with 1.96 standard errors of each point.",
+        f"First chart: mean S with its {percent(context.ranking.confidence, 0)} interval, for all designs at once"
+        f"{'; open: on the fresh scenarios' if context.ranking.fresh.scenarios else ''}. Second chart: mean S over the "
+        "first scenarios, with a band of 1.96 standard errors.",
     )
     if context.ranking.fresh.scenarios:
         body += to_html(_finalists(context.ranking))
-    return Section("confidence", "Confidence", body, charts)
+    return Section("confidence", "Confidence", body, charts, printed=True)
 
 
 def _confidence_sentences(context: Context) -> Iterator[str]:
@@ -93,7 +93,8 @@ def _interval_charts(context: Context) -> Iterator[Chart]:
     ends = [value for row in rows for dot in row for value in (dot.value, dot.low, dot.high)]
     level = float(ranking.metrics.S_uncorrected[context.shown])
     near = [level] if level < 2.0 * max((v for v in ends if math.isfinite(v)), default=0.0) else []
-    yield dots("intervals", "Mean S with intervals", rows, Axis.around("Mean S [m\u00b7s]", ends, near),
+    yield dots("intervals", "Mean S with intervals, better to the left", rows,
+               Axis.around(f"Mean S [m\u00b7s]{LEFT_IS_BETTER}", ends, near),
                upright=(level, "no control") if near else None)  # fmt: skip
     if context.scenarios.n > 2:
         shown = sorted(dict.fromkeys((context.shown, *context.best_of_each_law[:3])))

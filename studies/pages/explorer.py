@@ -190,7 +190,8 @@ def _distributions(context: Context) -> Iterator[Chart]:
         recorded = context.S_uncorrected(context.shown)[rows]
         samples: list[tuple[str, FloatArray, Style]] = [("No control", recorded, RECORDED)]
         samples += [(law_title(ranking.designs[i]), context.S(i)[rows], context.style(i)) for i in shown]
-        yield _distribution_chart(f"S-{name}", f"S, {name} departures", samples, "S [m\u00b7s]", "Share of departures")
+        label = f"S, departures to the {name} [m\u00b7s], less is better"
+        yield _distribution_chart(f"S-{name}", f"S of departures to the {name}", samples, label, "Share of departures")
     for name, title, label, limit in (
         ("deepest", "Deepest crossing", "Edge beyond the line [m]", None),
         ("dtle", "Distance to the lane edge", "Front axle beyond the line [m]", (-DTLE_LIMIT, "Euro NCAP")),

@@ -92,7 +92,7 @@ def trade_offs(context: Context) -> Section:
         ]  # fmt: skip
         more = f", the first {MOST_ROWS} of {front.size}" if front.size > MOST_ROWS else ""
         body += to_html(Table(f"The Pareto front{more}", columns, rows, head=1))
-    return Section("trade-offs", "Trade-offs", body, charts)
+    return Section("trade-offs", "Trade-offs", body, charts, printed=True)
 
 
 def trade_off(context: Context, across: str, name: str) -> Chart:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.declared import Gain
-from ldctoolkit.metrics import METRICS
+from ldctoolkit.metrics import DTLE_LIMIT, METRICS
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import Driver
 from ldctoolkit.scenario_model import ScenarioModel
@@ -234,7 +234,12 @@ def _score(ranking: RankedDesigns, i: int) -> str:
         if math.isfinite(value := values[name])
     ]
     costs = f"; control adds {_list(added)} (95 % quantiles)" if added else ""
-    return f"Mean S {S:.3f} m s on {ranking.sample(i)}{between}{change}{costs}."
+    share = math.nan if ranking.designs[i].is_baseline else ranking.needless(i)
+    needless = (
+        f" In {100 * share:.1f} % of departures it intervenes needlessly: the recorded path stays within "
+        f"{-DTLE_LIMIT:g} m beyond the line."
+    )
+    return f"Mean S {S:.3f} m s on {ranking.sample(i)}{between}{change}{costs}.{'' if math.isnan(share) else needless}"
 
 
 def _percent(share: float) -> str:
