@@ -485,7 +485,7 @@ def named_laws(
             files = {**files, given.name: str((folder / law).resolve())} if of_file else files
             given = given.name
         elif of_file:
-            raise InputError(path, "is no controller", value=law, allowed=_LAW)
+            raise InputError(path, "is not a known control law", value=law, allowed=_LAW)
         names.append(given)
     names, written = names[len(stored) :], table.get("gains", {})
     table = table | {"law": names if isinstance(laws, list | tuple) else names[0]} | ({"files": files} if files else {})

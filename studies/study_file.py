@@ -38,7 +38,7 @@ def _names(entry: Any) -> Any:
     """One name or several, each once, as a tuple; what is neither stays for the check to refuse."""
     values = (entry,) if isinstance(entry, str) else entry
     if isinstance(values, list | tuple) and len(set(map(str, values))) != len(values):
-        raise InputError(value=entry, allowed="each once")
+        raise InputError(value=entry, allowed="each of them once")
     return tuple(values) if isinstance(values, list | tuple) else entry
 
 

@@ -237,9 +237,9 @@ STUDY = ldc.study(ldc.NoControl, left=2, right=2)
         (lambda: ldc.study([ldc.LQR, ldc.PID]), r"^design: \[.*; allowed: .*, each an argument of its own$"),
         (
             lambda: ldc.study("LQR"),
-            r"is no controller; did you mean 'lqr'\?.*; a class of your own needs an entry point",
+            r"is not a known control law; did you mean 'lqr'\?.*; a class of your own needs an entry point",
         ),
-        (lambda: ldc.study({"gains": {"r_delta": 1.0}}), r"^study: design\[0\]\.law: missing, and has no default$"),
+        (lambda: ldc.study({"gains": {"r_delta": 1.0}}), r"^study: design\[0\]\.law: is missing and has no default$"),
         (lambda: ldc.study({"law": [ldc.LQR, int]}), r"^study: design\[0\]\.law: .*; allowed: text, or a list"),
         (
             lambda: ldc.study(ldc.LQR, scenarios=arrays()),

@@ -388,7 +388,7 @@ def recording_reader(name: str) -> RecordingReader:
     """
     point = entry_points(GROUP).get(name)
     if point is None:
-        raise UnknownNameError("format", "is no reader", value=name, allowed=(AUTO, *reader_names()))
+        raise UnknownNameError("format", "is not a known reader", value=name, allowed=(AUTO, *reader_names()))
     where = f"format {name!r} ({point.value})"
     try:
         reader = point.load()

@@ -67,7 +67,7 @@ def _smoothed(side: SideModel, events: Events) -> BoundedGaussianMixture:
     """The same kernels with other weights; drawn in towards their mean, which goes where the departures' goes."""
     old, weight = side.mixture, events.weight
     if weight is None or old.n_components != events.rows:
-        raise ModelError("recorded", f"{events.rows} departures", allowed=f"{old.n_components}, one a component")
+        raise ModelError("recorded", f"{events.rows} departures", allowed=f"{old.n_components}, one per component")
     weight, mu = weight / weight.sum(), old.means_
     spread = old.weights_ @ (mu - old.weights_ @ mu) ** 2
     drawn_in = math.sqrt(1.0 + float(np.trace(old.covariances_[0])) / float(spread.sum()))

@@ -102,7 +102,7 @@ def _subjects(text: str, args: argparse.Namespace) -> Iterator[Subject]:
         yield Design.of(controller, y_s).label, controller, y_s, load_study(args.plant).setup()
         return
     if args.gain or args.y_s is not None:
-        raise InputError("--gain, --y-s", "go with the name of a law", hint=f"{text} has its own designs")
+        raise InputError("--gain, --y-s", "need the name of a law", hint=f"{text} has its own designs")
     from ._results import is_folder, study_of
 
     if not (is_folder(text) or text in catalog_names() or text.endswith(".toml")):

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     controller, out = design.controller(setup.convention), console()
     if args.verify:
         if not (folder / "ldc_controller.h").is_file():
-            raise InputError(folder, "holds no export", allowed="a folder that ldc export wrote")
+            raise InputError(folder, "is not the folder of an export", allowed="a folder that ldc export wrote")
         changed = changed_files(folder)
         stale = not changed and is_stale(Code.of(controller, setup, design.y_s, origin), folder)
         text = "stale: not what this study and this version give" if stale else "up to date"

@@ -239,7 +239,7 @@ def _numbers(args: argparse.Namespace) -> tuple[int, int]:
     elif args.left is None and args.right is None:
         left, right = (args.n + 1) // 2, args.n // 2
     else:
-        raise InputError("-n", "goes with neither --left nor --right")
+        raise InputError("-n", "cannot be combined with --left or --right")
     if max(left, right) > _MOST:
         raise InputError("departures to one side", value=max(left, right), allowed=f"up to {_MOST}")
     if left + right == 0:

@@ -65,7 +65,7 @@ def subjects(args: argparse.Namespace) -> list[Subject]:
 
     if args.design in controller_names():
         if args.only:
-            raise InputError("--design", "goes with a study", hint="a law's gains are given with --gain")
+            raise InputError("--design", "needs a study", hint="a law's gains are given with --gain")
         return [_law_subject(args)]
     if os.path.isfile(f"{args.design}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         return list(_of_folder(args))
@@ -74,7 +74,7 @@ def subjects(args: argparse.Namespace) -> list[Subject]:
         names = (*controller_names(), *catalog_names())
         raise UnknownNameError("design", "is neither a law, nor a study", value=args.design, allowed=names)
     if args.gain:
-        raise InputError("--gain", "goes with the name of a law", hint="a study has its own gains")
+        raise InputError("--gain", "needs the name of a law", hint="a study has its own gains")
     study = load_study(args.design)
     designs = study.designs if args.only is None else named_designs(study.designs, [args.only])
     return list(_study_subjects(study, designs, args))

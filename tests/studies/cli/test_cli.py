@@ -135,7 +135,7 @@ def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> Non
         (["controllers", "lqq"], "did you mean 'lqr'"),
         (["models", "none.json"], "none.json"),
         (["sample", "reference", "-o", "x.csv"], "no departures requested"),
-        (["sample", "reference", "-n", "3", "--left", "2", "-o", "x.csv"], "-n: goes with neither"),
+        (["sample", "reference", "-n", "3", "--left", "2", "-o", "x.csv"], "-n: cannot be combined"),
         (["sample", "reference", "-n", "-3", "-o", "x.csv"], "-n"),
         (["sample", "reference", "-n", "3", "-o", "x.txt"], "must end in .parquet or .csv"),
         (["sample", "reference", "-n", "3", "-o", "nowhere/x.csv"], "the folder nowhere does not exist"),

@@ -82,7 +82,7 @@ def test_changed_and_stale_folders_are_noticed(folder: Path) -> None:
     header.write_text(whole)
     (folder / "made" / "main.c").unlink()
     assert "changed by hand: main.c\n" in ldc("export", "plain", "-o", "made", "--verify", cwd=folder).stdout
-    assert "plain: holds no export; allowed: a folder that ldc export wrote" in bad(
+    assert "plain: is not the folder of an export; allowed: a folder that ldc export wrote" in bad(
         "export", "plain", "-o", "plain", "--verify", cwd=folder
     )
 

@@ -205,7 +205,7 @@ def test_json(folder: Path, rank: Rank) -> None:
         (["plain", "--confidence", "1.5"], "plain: ranking.confidence: 1.5; allowed: less than 1"),
         (["plain", "--confidence", "high"], "allowed: a finite number"),
         (["plain", "-o", "r.txt"], "must end in .csv"),
-        (["plain", "--require", "comfrt"], "'comfrt' is no set of requirements; did you mean 'comfort'?"),
+        (["plain", "--require", "comfrt"], "'comfrt' is not a set of requirements; did you mean 'comfort'?"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -69,7 +69,7 @@ def test_physical_is_the_friction_of_the_plant() -> None:
 
 
 def test_a_set_that_is_none_is_named() -> None:
-    with pytest.raises(UnknownNameError, match="'comfrot' is no set of requirements; did you mean 'comfort'"):
+    with pytest.raises(UnknownNameError, match="'comfrot' is not a set of requirements; did you mean 'comfort'"):
         requirements_of(["comfrot"])
 
 
