@@ -295,7 +295,7 @@ class _Frame:
         self.depth = height - top - _BOTTOM
         if left is None:
             longest = max((len(text) for _, text in y.ticks(1.4 * self.depth)), default=0)
-            left = max(_LEFT, 28.0 + _CHARACTER * longest)
+            left = max(_LEFT, 34.0 + _CHARACTER * longest)
         self.x, self.y, self.left, self.top = x, y, left, top
         self.width, self.height = WIDTH - left - _RIGHT, height
         self.bottom, self.right = top + self.depth, WIDTH - _RIGHT

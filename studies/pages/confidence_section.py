@@ -60,7 +60,7 @@ def _confidence_sentences(context: Context) -> Iterator[str]:
         half = 0.5 * (high - low)
         needed = context.scenarios.n * (half / away) ** 2
         about = f"about {_two_digits(needed):,}" if needed < 1e7 else "more than ten million"
-        yield f"If the difference seen is the true one, {about} scenarios separate them with even chances."
+        yield f"If this difference is the true one, {about} scenarios separate the two with a probability of 50 %."
     rival_law = next((i for i in rivals if ranking.designs[i].law != ranking.designs[0].law), second)
     if rival_law != second:
         apart = "not separated from" if inference.set_of_best[rival_law] else "separated from"
@@ -160,7 +160,7 @@ def _finalists(ranking: Ranking) -> Table:
         unmet = ", ".join(ranking.fresh.unmet[i])
         cells = [
             int(ranking.rank[i]) or DASH, design_name(ranking.designs[i]), S, fresh, (low, high), to_first,
-            Cell(unmet or "nothing", bad=bool(unmet)),
+            Cell(unmet or "none", bad=bool(unmet)),
         ]  # fmt: skip
         if ranking.replayed.departures:
             cells += [replayed[0], (replayed[1], replayed[2]), replayed[3]]

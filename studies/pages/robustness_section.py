@@ -40,8 +40,8 @@ def section(context: Context) -> Section:
             "Margins of the loop over speed",
             figure(
                 charts,
-                "On the study\u2019s plant, without its limits of rate and angle; 0: the loop is unstable. "
-                "Dashed: what stable asks for. Gain margins above 20 are drawn at 20.",
+                "On the study\u2019s plant, without its limits of rate and angle. At 0 the loop is unstable. "
+                "Dashed: the least that the set stable requires. Gain margins above 20 are drawn at 20.",
             ),
         )
     return Section("robustness", "Other plants", body, charts)

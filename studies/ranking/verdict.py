@@ -486,7 +486,7 @@ COLUMNS_TEXT: Final = (
 
 STEP_TEXT: Final = (
     "Step: time of the law's step for one vehicle, median and 99 % quantile, measured on this machine, in Python. It "
-    "is no result, and differs from run to run. Linear laws have no step."
+    "differs from run to run and is not part of the results. Linear laws have no step."
 )
 _STEP_COLUMNS: Final = (("Step", "step", "Median"), ("Step 99 %", "step_p99", "99 % quantile"))
 
@@ -636,7 +636,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
             apart = ranking.apart(value, low, high, "+.4f")
             yield f"{what} ({design_name(ranking.designs[b])}): {apart} on the {where} scenarios."
     if i is not None and ranking.fresh.scenarios and not np.isfinite(ranking.fresh.S[i]):
-        yield "The winner was no finalist; it has no fresh score."
+        yield "The winner was not among the finalists and has no score on fresh scenarios."
     if i is not None and np.isfinite(ranking.fresh.optimism[i]):
         yield optimism_text(ranking, i)
     if i is not None and ranking.fresh.difference[i] < 0 and ranking.fresh.difference_high[i] < 0:
@@ -661,7 +661,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         yield f"Required of the winner, on {ranking.sample(i)}: {'; '.join(texts)}."
     if ranking.ranked < len(ranking):
         left = len(ranking) - ranking.ranked
-        yield f"{left:,} of {len(ranking):,} designs break a requirement and are not ranked."
+        yield f"{left:,} of {len(ranking):,} designs do not meet a requirement and are not ranked."
     if ranking.pareto_metrics and ranking.pareto.any():
         yield (
             f"Pareto front over {', '.join(ranking.pareto_metrics)}: {int(ranking.pareto.sum())} designs, "

@@ -112,7 +112,7 @@
     for (let node = walker.nextNode(); node; node = walker.nextNode()) {
       const e = node.parentElement;
       if (e.closest("script, style, svg, option, template, pre, code") || !shown(e)) continue;
-      for (const word of node.data.matchAll(/[\p{L}\p{N}_.,]{2,24}/gu)) {
+      for (const word of node.data.matchAll(/(?<![\p{L}\p{N}_.,])[\p{L}\p{N}_.,]{2,24}(?![\p{L}\p{N}_.,])/gu)) {
         const range = document.createRange();
         range.setStart(node, word.index);
         range.setEnd(node, word.index + word[0].length);

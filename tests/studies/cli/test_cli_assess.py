@@ -188,7 +188,7 @@ def test_a_study_that_requires_a_standard(few: tuple[Path, str]) -> None:
     assert [row["rank"] for row in (early, late, none)] == ["1", "", ""]
     assert (early["y_s_m"], late["y_s_m"]) == ("-0.4", "0.3")
     assert late["unmet"] == f"{ROAD_EDGE} >= 0.9"
-    assert "2 of 3 designs break a requirement and are not ranked." in out
+    assert "2 of 3 designs do not meet a requirement and are not ranked." in out
     assert "Best design that meets the limits: LQR, y_s = -0.4 m." in out
     page = page_at(folder / "out" / "report.html")
     words = page.words("standards")

@@ -238,7 +238,7 @@ def test_trade_offs_list_the_front(results: StudyResults) -> None:
     report = dataclasses.replace(report_input(results), ranking=ranking)
     words = said_in(verdict_section.trade_offs, report)
     count = int(ranking.pareto.sum())
-    assert f"Pareto front over Mean S, Steering effort, mean: {count} designs" in words
+    assert f"Pareto front over Mean S; Steering effort, mean: {count} designs" in words
 
 
 def test_the_landscape_has_the_least_S_of_each_cell(report: ReportInput) -> None:
