@@ -73,9 +73,9 @@ def test_own_arrays_vehicle_requirement_and_a_data_frame() -> None:
     assert study.ranking.require == ("a_y_peak_p95 <= 9",)
     assert repr(results) == (
         "<StudyResults: designs 5: none (1), lqr (2), pid (2); scenarios 20 (10 left, 10 right); "
-        "S departure window, consistent>"
+        "S departure window, signs consistent>"
     )
-    assert repr(ranking).startswith("<Ranking of 5 designs, departure window, consistent: best 'LQR, y_s=0.1 m")
+    assert repr(ranking).startswith("<Ranking of 5 designs, departure window, signs consistent: best 'LQR, y_s=0.1 m")
 
 
 def test_scenarios_of_ones_own_keep_their_numbers() -> None:

@@ -25,7 +25,7 @@ from ldctoolkit.scenario_model.provenance import RecordedDepartures, SideModel, 
 
 REFITS: Final = 20
 FEWEST: Final = 5  # refits that show how far they differ
-NOT_KEPT: Final = "the model holds no recorded departures (they are kept up to 2,000 a side, from version 5 on)"
+NOT_KEPT: Final = "the model file holds no recorded departures (it keeps up to 2,000 per side, since file version 5)"
 
 _STREAM: Final = 0x72656669
 

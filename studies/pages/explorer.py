@@ -49,8 +49,8 @@ def section(context: Context) -> Section:
     entries = [("No control", RECORDED), *((law_title(context.ranking.designs[i]), context.style(i)) for i in shown)]
     body += Markup("<h3>Distributions</h3>") + figure(
         charts,
-        "Share of departures (for added a_y and jerk, of interventions) below the value on the axis. A dash-dotted line "
-        "is a limit of ISO 11270 or Euro NCAP. Axes leave out a few far values.",
+        "Share of departures (for added a_y and jerk, of interventions) below the value on the axis. A dash-dotted "
+        "line is a limit of ISO 11270 or Euro NCAP. Axes leave out a few far values.",
         legend(entries),
     )
     return Section("departures", "Departures", body, charts, data, ("explorer.js",) if data else ())

@@ -357,7 +357,7 @@ class RankedDesigns:
 
     @property
     def label(self) -> str:
-        """Window of S and reading of the paper: ``"departure window, consistent"``."""
+        """Window of S and reading of the paper: ``"departure window, signs consistent"``."""
         return score_label(self.window, self.convention)
 
     @property

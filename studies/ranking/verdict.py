@@ -479,7 +479,7 @@ RANKING_METRICS: Final = ("reduction", "a_y_added_peak_p95", "jerk_added_peak_p9
 
 COLUMNS_TEXT: Final = (
     "Reduction: of mean S against no control. p95: 95 % quantile of what control adds to the recorded path. "
-    "Needless: share of departures with an intervention that stay within 0.3 m by themselves."
+    "Needless: share of departures with an intervention although the recorded path stays within 0.3 m beyond the line."
 )
 """Explanation of the short headings."""
 
@@ -547,7 +547,7 @@ def judged(ranking: RankedDesigns, position: int) -> str:
     if ranking.missed[position]:
         sets = dict.fromkeys(miss.requirement.set or miss.requirement.text for miss in ranking.missed[position])
         most = max((miss.excess for miss in ranking.missed[position] if miss.requirement.limit), default=0.0)
-        by = f" +{100 * most:.0f}%" if 0.005 <= most < 10 else ""
+        by = f" by {100 * most:.0f} %" if 0.005 <= most < 10 else ""
         phrases.append(f"breaks {', '.join(sets)}{by}")
     elif ranking.requirements:
         certain = not any(estimate.required and estimate.uncertain for estimate in ranking.estimates(position))
@@ -615,10 +615,10 @@ def limit_line(ranking: RankedDesigns) -> str:
 
     second = max(within, without)
     low, high = (float(getattr(ranking.inference, f"difference_{end}")[second]) for end in ("low", "high"))
-    apart = f" Between them: {ranking.apart(float(ranking.inference.difference[second]), low, high)}."
+    apart = f" Difference of the two: {ranking.apart(float(ranking.inference.difference[second]), low, high)}."
     return (
-        f"With a limit of comfort in the law: {parts(within, ' than without control')} (95 % quantile); the best "
-        f"without: {parts(without, '')}.{'' if min(within, without) or math.isnan(low + high) else apart}"
+        f"Best design with a limit of comfort in its law: {parts(within, ' than without control')} (95 % quantile). "
+        f"Best without: {parts(without, '')}.{'' if min(within, without) or math.isnan(low + high) else apart}"
     )
 
 
@@ -677,7 +677,7 @@ def recordings_text(ranking: RankedDesigns, unit: str = "m s") -> str:
     if i is None or not recordings.text:
         return ""
     if not math.isfinite(low := float(recordings.low[i])):
-        return f"What the recordings leave open is not known: {recordings.text}."
+        return f"Uncertainty from the limited recordings is not known: {recordings.text}."
     parts = [
         f"mean S {low:.3f} .. {recordings.high[i]:.3f} {unit}",
         f"reduction {100 * recordings.reduction_low[i]:.1f} .. {100 * recordings.reduction_high[i]:.1f} %",
@@ -687,7 +687,7 @@ def recordings_text(ranking: RankedDesigns, unit: str = "m s") -> str:
         parts.append(f"difference to the baseline {end:+.4f} .. {high:+.4f} {unit}")
     failed = f" ({recordings.failed} more failed)" if recordings.failed else ""
     return (
-        f"What the recordings leave open ({level} intervals, {recordings.refits} refits{failed}): "
+        f"Uncertainty from the limited recordings ({level} intervals, {recordings.refits} refits{failed}): "
         f"{', '.join(parts)}; {recordings.text}."
     )
 

@@ -198,14 +198,14 @@ def test_a_study_that_requires_a_standard(few: tuple[Path, str]) -> None:
     assert page.images.count("passes at every corner") == 36
     limits = page.headed("Metric", "Limit")[0]
     assert ["Euro NCAP 2026, ELK road edge, cells passed", "≥ 90 %", "own", "100.0 %", "0.0 %", "1"] in limits
-    assert f"breaks {ROAD_EDGE} >= 0.9 +100%" in page.words("ranking")
+    assert f"breaks {ROAD_EDGE} >= 0.9 by 100 %" in page.words("ranking")
 
 
 def test_a_study_that_requires_the_whole_standard(few: tuple[Path, str], tmp_path: Path) -> None:
     """By its bare name; a study without such a requirement has no such section and no such column."""
     folder, _ = few
     out = good("rank", "out", "--require", ROAD_EDGE, cwd=folder)
-    assert f"breaks {ROAD_EDGE} >= 1 +100%" in " ".join(out.split())
+    assert f"breaks {ROAD_EDGE} >= 1 by 100 %" in " ".join(out.split())
     plain = "\n".join(line for line in STUDY.splitlines() if not line.startswith("require"))
     (tmp_path / "plain.toml").write_text(plain, encoding="utf-8")
     good("run", "plain.toml", "-o", "out", "--workers", 1, cwd=tmp_path)

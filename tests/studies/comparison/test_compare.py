@@ -237,10 +237,10 @@ def test_two_conventions_are_compared_as_an_input_that_differs(scores: np.ndarra
     printed = finished(scores + 0.1, source="printed", simulation={"convention": "as_printed"})
     comparison = compare(finished(scores), printed)
     assert comparison.differences == ("simulation.convention: consistent -> as_printed",)
-    assert comparison.label == "departure window, consistent -> as printed"
+    assert comparison.label == "departure window, signs consistent -> as printed"
     np.testing.assert_allclose(comparison.S.difference, 0.1)
     assert compare(printed, finished(scores + 0.1, simulation={"convention": "as_printed"})).label == (
-        "departure window, as printed"
+        "departure window, signs as printed"
     )
 
 
