@@ -220,8 +220,8 @@ def test_verdict_and_lights_are_of_the_fresh_scenarios() -> None:
     assert judgement.sentences[0].startswith("Mean S 0.500 m s on 300 fresh scenarios (95 % interval 0.4")
     assert judgement.sentences[0].endswith(
         "), 94.4 % less than without control; control adds 2.00 m/s² of lateral acceleration and 4.90 m/s³ of jerk "
-        "(95 % quantiles). In 100.0 % of departures it intervenes needlessly: the recorded path stays within 0.3 m beyond "
-        "the line."
+        "(95 % quantiles). In 100.0 % of departures it intervenes needlessly: the recorded path stays within 0.3 m "
+        "beyond the line."
     )
     assert light(ranking, results, "Score").text == "94.4 % less S than without control."
     assert light(ranking, results).state == "warning"
