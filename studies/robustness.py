@@ -164,12 +164,7 @@ def _worse_camera(sensors: Sensors) -> Iterator[_Row]:
         )
         yield "noise", "Camera noise", what, with_changes(**noise)
     delay, doubled = min(2.0 * sensors.delay, 10.0) or real.delay, " doubled" if sensors.delay else ""
-    yield (
-        "camera-delay",
-        f"Camera delay{doubled}",
-        f"{delay:g} s from exposure to measured value",
-        with_changes(delay=delay),
-    )
+    yield "camera-delay", f"Camera delay{doubled}", f"{delay:g} s from image to measurement", with_changes(delay=delay)
     slow = max(sensors.period, CAMERA_PERIOD)
     if sensors.period < slow:
         yield "camera-rate", "15 Hz camera", "15 frames a second", with_changes(period=slow)

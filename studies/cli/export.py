@@ -22,7 +22,7 @@ def add_parser(commands: Subparsers) -> None:
     """Declare the command."""
     parser = commands.add_parser(
         "export",
-        help="write a design as C code and prove it in the closed loop",
+        help="write a design as C code and check it in the closed loop",
         description="Write a design as C99 code with a test bench, compile it, and drive at least 1,000 scenarios of "
         "its study with it: commands and S must be the toolkit's. Exit code 3 where they are not, 4 where there is no "
         "C compiler.",

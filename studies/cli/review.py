@@ -72,7 +72,7 @@ def subjects(args: argparse.Namespace) -> list[Subject]:
     known = args.design in catalog_names() or args.design.endswith(".toml")
     if not known and not os.path.isfile(args.design):  # noqa: PTH113
         names = (*controller_names(), *catalog_names())
-        raise UnknownNameError("design", "is neither a law, nor a study", value=args.design, allowed=names)
+        raise UnknownNameError("design", "is neither a law nor a study", value=args.design, allowed=names)
     if args.gain:
         raise InputError("--gain", "needs the name of a law", hint="a study has its own gains")
     study = load_study(args.design)
@@ -314,7 +314,7 @@ def run(args: argparse.Namespace) -> int:
     designs = subjects(args)
     if drawing is not None:
         if len(designs) > 1:
-            raise InputError("--plan", f"of {len(designs)} designs", allowed="one", hint="choose it with --design")
+            raise InputError("--plan", f"{len(designs)} designs to draw", allowed="one", hint="choose it with --design")
         write_text(drawing, _plan(designs[0]))
     reviewed: Reviewed = []
     with progress_bar("reviewing") as advance:

@@ -372,7 +372,7 @@ def read_manifest(folder: str | Path) -> Manifest:
         content = parse_json(read_regular(path, StoreError))
         version = content["format_version"]
         if version != FORMAT_VERSION:
-            raise StoreError(path, "of another format", value=version, allowed=str(FORMAT_VERSION), hint=hint)
+            raise StoreError(path, "has another format version", value=version, allowed=str(FORMAT_VERSION), hint=hint)
         return Manifest.model_validate(without_checksum(content))
     except ValidationError as error:
         problem = "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())

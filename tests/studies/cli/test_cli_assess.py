@@ -151,7 +151,7 @@ def test_gains_trigger_and_time_to_line_crossing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("lrq",), "'lrq' is neither a law, nor a study, nor a folder; did you mean 'lqr'?"),
+        (("lrq",), "'lrq' is neither a law, a study nor a folder; did you mean 'lqr'?"),
         (("lqr", "--standard", "euroncap-2026-elk-roadedge"), f"did you mean '{ROAD_EDGE}'?"),
         (("road-edge", "--gain", "r_delta=3"), "--gain, --y-s: go with the name of a law; road-edge has its own"),
         (("road-edge", "--y-s", "-0.3"), "--gain, --y-s: go with the name of a law; road-edge has its own designs"),

@@ -156,6 +156,6 @@ def test_run_without_a_study_names_the_next_step(tmp_path: Path) -> None:
         "  in the catalog: driver, ideal, my-vehicle, paper, paper-as-printed, reality, road-edge, trigger-and-gains, "
         "zoo, zoo-sweep\n"
         "  ldc run trigger-and-gains                runs one of them\n"
-        "  ldc init trigger-and-gains -o my.toml    writes it to a file, a comment at every key\n"
+        "  ldc init trigger-and-gains -o my.toml    writes it to a file, with a comment at every key\n"
         "  ldc run my.toml                          runs that file\n"
     )

@@ -129,7 +129,7 @@ def test_a_result_folder_says_what_its_results_say(folder: Path) -> None:
         (["lqr", "--dt", "0"], "allowed: a finite number > 0"),
         (["lqr", "--delay", "-1"], "actuator.delay: -1.0; allowed"),
         (["lqr", "--json", "x.txt"], "error: --json x.txt: the name must end in .json"),
-        (["a" * 300], "is neither a law, nor a study"),
+        (["a" * 300], "is neither a law nor a study"),
         (["lqr", "--dt", "1e-6", "--delay", "0.05"], "actuator.delay: 0.05 s is 50000 samples of 1e-06 s; allowed"),
         (["s.toml", "--speed", "0.5:20"], "'0.5:20'; allowed: LOW:HIGH"),
         (["lqr", "--json", "nowhere/x.json"], "the folder nowhere does not exist"),

@@ -449,7 +449,7 @@ def test_refusals_of_folders(tmp_path: Path, small_run: Path) -> None:
     for again in (folder, tmp_path / "link", str(folder) + "/"):
         with pytest.raises(InputError, match="the same folder twice"):
             compare(folder, again)
-    with pytest.raises(StoreError, match="holds no study"):
+    with pytest.raises(StoreError, match="is not the folder of a study"):
         compare(folder, tmp_path)
     (tmp_path / "two").mkdir()
     shutil.copy(folder / "manifest.json", tmp_path / "two")
