@@ -25,8 +25,8 @@ def section(context: Context) -> Section:
     body = paragraphs(*_confidence_sentences(context))
     body += figure(
         charts,
-        f"First chart: mean S with its {percent(context.ranking.confidence, 0)} interval, for all designs at once"
-        f"{'; open: on the fresh scenarios' if context.ranking.fresh.scenarios else ''}. Second chart: mean S over the "
+        f"First chart: rank, design, and mean S with its {percent(context.ranking.confidence, 0)} interval, for all "
+        f"designs at once{'; open: on the fresh scenarios' if context.ranking.fresh.scenarios else ''}. Second chart: mean S over the "
         "first scenarios, with a band of 1.96 standard errors.",
     )
     if context.ranking.fresh.scenarios:
@@ -83,7 +83,7 @@ def _interval_charts(context: Context) -> Iterator[Chart]:
     shown = list(dict.fromkeys((context.shown, *range(min(6, len(ranking))), *context.best_of_each_law)))[:MOST]
     rows = []
     for i in sorted(shown):
-        name, style = design_name(ranking.designs[i]), context.style(i)
+        name, style = f"{int(ranking.rank[i]) or DASH}: {design_name(ranking.designs[i])}", context.style(i)
         S, low, high = (float(v[i]) for v in (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high))
         dots_of_row = [Dot(name, S, low, high, style)]
         if math.isfinite(ranking.fresh.S[i]):
