@@ -26,8 +26,8 @@ def section(context: Context) -> Section:
     body += figure(
         charts,
         f"First chart: rank, design, and mean S with its {percent(context.ranking.confidence, 0)} interval, for all "
-        f"designs at once{'; open: on the fresh scenarios' if context.ranking.fresh.scenarios else ''}. Second chart: mean S over the "
-        "first scenarios, with a band of 1.96 standard errors.",
+        f"designs at once{'; open: on the fresh scenarios' if context.ranking.fresh.scenarios else ''}. Second "
+        "chart: mean S over the first scenarios, with a band of 1.96 standard errors.",
     )
     if context.ranking.fresh.scenarios:
         body += to_html(_finalists(context.ranking))
