@@ -385,7 +385,7 @@ def test_the_listed_map_is_one(log: Path) -> None:
     [
         (["a.mf4", "-o", "d.parquet"], "a.mf4: needs a channel map; allowed: --channels MAP.toml (--list-channels "),
         (["a.mf4", "--channels", "none.toml", "-o", "d.parquet"], "none.toml: cannot be read: No such file or directo"),
-        (["a.mf4"], "-o: not given; allowed: -o FILE.parquet"),
+        (["a.mf4"], "-o: is missing; allowed: -o FILE.parquet"),
         (["a.csv", "--channels", "m.toml", "-o", "d.parquet"], "channels: '/"),
         (["a.csv", "--list-channels"], "a.csv: cannot be read as MDF; it is damaged, or none ("),
     ],

@@ -134,7 +134,7 @@ def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> Non
         (["report", "."], "is not the folder of a study"),
         (["controllers", "lqq"], "did you mean 'lqr'"),
         (["models", "none.json"], "none.json"),
-        (["sample", "reference", "-o", "x.csv"], "no departures requested"),
+        (["sample", "reference", "-o", "x.csv"], "-n: the number of departures is missing"),
         (["sample", "reference", "-n", "3", "--left", "2", "-o", "x.csv"], "-n: cannot be combined"),
         (["sample", "reference", "-n", "-3", "-o", "x.csv"], "-n"),
         (["sample", "reference", "-n", "3", "-o", "x.txt"], "must end in .parquet or .csv"),
