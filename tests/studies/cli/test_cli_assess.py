@@ -153,8 +153,8 @@ def test_gains_trigger_and_time_to_line_crossing(tmp_path: Path) -> None:
     [
         (("lrq",), "'lrq' is neither a law, a study nor a folder; did you mean 'lqr'?"),
         (("lqr", "--standard", "euroncap-2026-elk-roadedge"), f"did you mean '{ROAD_EDGE}'?"),
-        (("road-edge", "--gain", "r_delta=3"), "--gain, --y-s: go with the name of a law; road-edge has its own"),
-        (("road-edge", "--y-s", "-0.3"), "--gain, --y-s: go with the name of a law; road-edge has its own designs"),
+        (("road-edge", "--gain", "r_delta=3"), "--gain, --y-s: need the name of a law; road-edge has its own"),
+        (("road-edge", "--y-s", "-0.3"), "--gain, --y-s: need the name of a law; road-edge has its own designs"),
         (("lqr", "--y-s", "-11"), "y_s: -11.0; allowed: a finite number >= -10"),
         (("lqr", "--gain", "r_detla=3"), "did you mean 'r_delta'?"),
     ],

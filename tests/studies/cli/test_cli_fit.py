@@ -140,7 +140,7 @@ def test_a_page_lies_beside_the_model(folder: Path) -> None:
         (["--bound", "dy=0:1"], "bounds: 'dy' is not a parameter of departures; did you mean 'd_y'?"),
         (["--bound", "d_y=2:1"], "bounds['d_y']: (2.0, 1.0); allowed: 0 <= lower < upper"),
         (["--bound", "d_y=0:0.01"], "departures (left): d_y: "),
-        (["--bound", "d_y=0:1", "--bound", "d_y=0:2"], "--bound d_y: given 2 times; allowed: once a name"),
+        (["--bound", "d_y=0:1", "--bound", "d_y=0:2"], "--bound d_y: given 2 times; allowed: each name once"),
         (["--transform", "log"], "argument --transform: 'log'; allowed: auto, none or NAME=KIND"),
         (["--transform", "d_y=lgo"], "transform['d_y']: 'lgo'; did you mean 'log'?"),
         (["--transform", "T=log"], "transform['T']: 'log' with 2 finite bounds; allowed: for columns with 1"),
@@ -190,7 +190,7 @@ def test_conditional_samples(folder: Path) -> None:
         (["--given", "v_mean=35:25"], "given['v_mean']: (35.0, 25.0); allowed: a number, or (lower, upper)"),
         (["--given", "T=20"], "given['T']: T = 20 s; allowed: between 0.5 and 10, the bounds of the left departures"),
         (["--given", "T=10:30"], "given['T']: T from 10 to 30 s; allowed: between 0.5 and 10"),
-        (["--given", "T=1", "--given", "T=2"], "--given T: given 2 times; allowed: once a name"),
+        (["--given", "T=1", "--given", "T=2"], "--given T: given 2 times; allowed: each name once"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -115,7 +115,7 @@ def test_a_result_folder_says_what_its_results_say(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["lqq"], "'lqq' is neither a law, nor a study; did you mean 'lqr'?"),
+        (["lqq"], "'lqq' is neither a law nor a study; did you mean 'lqr'?"),
         ([], "required: DESIGN"),
         (["lqr", "--gain", "r_delt=2"], "lqr.r_delt: no such gain; did you mean 'r_delta'?"),
         (["lqr", "--gain", "r_delta=much"], "lqr.r_delta: 'much'; allowed: a number from 0.001 to 1e+06"),
