@@ -37,8 +37,8 @@ FAILED_STATUSES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, Event
 
 
 def score_label(window: Window, convention: Convention) -> str:
-    """Window of S and reading of the paper: ``"departure window, consistent"``."""
-    return f"{window} window, {convention.replace('_', ' ')}"
+    """Window of S and reading of the paper: ``"departure window, signs consistent"``."""
+    return f"{window} window, signs {convention.replace('_', ' ')}"
 
 
 def status_among(status: npt.NDArray[np.int8], which: Sequence[EventStatus]) -> BoolArray:
@@ -197,7 +197,7 @@ class StudyResults(Frame):
 
     @property
     def label(self) -> str:
-        """Window of S and reading of the paper: ``"departure window, consistent"``."""
+        """Window of S and reading of the paper: ``"departure window, signs consistent"``."""
         return score_label(self.window, self.convention)
 
     @property

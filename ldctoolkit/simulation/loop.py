@@ -626,9 +626,9 @@ def path_rows(trajectories: PathChoice, n: int, name: str = "trajectories") -> I
         raise InputError(name, value=trajectories, allowed="true, false, or row numbers of scenarios")
     outside = (rows < 0) | (rows >= n)
     if outside.any():
-        raise InputError(name, "is no scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
+        raise InputError(name, "is not the number of a scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
     if np.unique(rows).size != rows.size:
-        raise InputError(name, "a row number is given twice", allowed="each once")
+        raise InputError(name, "a row number is given twice", allowed="each of them once")
     return rows.astype(np.int64)
 
 

@@ -230,7 +230,7 @@ def plausibility(limits: Sequence[tuple[str, float]] | None, default: Plausibili
     names = [field.name for field in dataclasses.fields(Plausibility)]
     for name, _ in limits or ():
         if name not in names:
-            raise InputError("--limit", "is no limit", value=name, allowed=names)
+            raise InputError("--limit", "is not a limit that a review checks", value=name, allowed=names)
     return dataclasses.replace(default or Plausibility(), **dict(limits or ()))
 
 
@@ -239,7 +239,7 @@ def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:
     names = [name for name, _ in pairs or ()]
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"{option} {name}", f"given {names.count(name)} times", allowed="once a name")
+            raise InputError(f"{option} {name}", f"given {names.count(name)} times", allowed="each name once")
 
 
 def law_with_gains(name: str, gains: Sequence[tuple[str, str]] | None) -> Controller:

@@ -185,7 +185,7 @@ def _study_settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str
     yield from simulation_settings(study.setup())
     yield "plant", "ideal" if study.plant.ideal else "not ideal"
     yield from ((f"plant.{key}", value) for key, value in plant_settings(study.plant))
-    units = {"C_af": "N/rad", "C_ar": "N/rad", "m": "kg", "I_z": "kg m^2"}
+    units = {"C_af": "N/rad", "C_ar": "N/rad", "m": "kg", "I_z": "kg m^2", "steering_ratio": "(hand to road wheels)"}
     for field in dataclasses.fields(study.vehicle):
         yield f"vehicle {field.name}", f"{getattr(study.vehicle, field.name):g} {units.get(field.name, 'm')}"
     yield "deep departures, D_y", f"{study.report.D_y:g} m"

@@ -350,7 +350,7 @@ def read_manifest(folder: str | Path) -> Manifest:
     """
     path = Path(folder) / "manifest.json"
     if not os.path.exists(path):  # noqa: PTH110 - this one raises nothing, whatever the path
-        raise StoreError(folder, "holds no study (no manifest.json)")
+        raise StoreError(folder, "is not the folder of a study (it holds no manifest.json)")
     hint = "run the study into another folder"
     try:
         content = parse_json(read_regular(path, StoreError))

@@ -57,7 +57,7 @@ def make_folder(folder: Path) -> None:
     """Make the folder of a study, if it is not there."""
     strange = folder.exists() and not (folder / "manifest.json").exists()
     if strange and (not folder.is_dir() or any((folder / "results").glob("*"))):
-        raise StoreError(folder, "exists and is not the folder of a study (no manifest.json)", hint="choose another")
+        raise StoreError(folder, "exists, but is not the folder of a study", hint="choose another folder")
     output_folder(folder)
     output_folder(folder / "results")
 

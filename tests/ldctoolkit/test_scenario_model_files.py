@@ -132,7 +132,7 @@ def changed(data, path, value):
 BROKEN = {  # what the error says of it: a key of the file, and what is written there
     "'ldctoolkit-scenario-model'": [("format", "other")],
     "version 4 to 5, which this program reads": [("version", odd) for odd in (6, 3, "4", True, 4.0, KeyError)],
-    "missing, and has no default": [
+    "is missing and has no default": [
         ("sides", KeyError), ("units", KeyError), ("sides.left.transform", KeyError), ("sides.left.weights", KeyError),
         ("provenance.left.bounds_from", [["T", "auto"]], "provenance.left.bounds_from[0][2]"),
         ("provenance.left.failed", [[3]], "provenance.left.failed[0][1]"),

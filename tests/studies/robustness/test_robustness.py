@@ -412,8 +412,8 @@ def test_a_path_that_no_tyre_could_follow_is_not_counted_as_diverged() -> None:
 
 def test_what_a_plant_is_called_holds_its_values() -> None:
     what = {plant.name: plant.what for plant in other_plants(PlantOptions())}
-    assert what["heavy"] == "mass and yaw inertia times 1.3; laws do not know"
-    assert what["soft"] == "cornering stiffness of both axles times 0.8; laws do not know"
+    assert what["heavy"] == "mass and yaw inertia times 1.3; the laws are not told"
+    assert what["soft"] == "cornering stiffness of both axles times 0.8; the laws are not told"
     assert what["lost-frames"] == "every second frame of a camera of 15 Hz is lost"
     assert what["tyres"] == "magic formula, friction coefficient 0.9"
     assert what["limits"] == "at most 0.1 rad and 0.33 rad/s at the front wheels"
