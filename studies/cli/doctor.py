@@ -9,6 +9,7 @@ import importlib.metadata
 import json
 import os
 import platform
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -101,16 +102,14 @@ def _guarded(part: Callable[[], Iterator[_Line]]) -> Iterator[_Line]:
 def _packages() -> Iterator[_Line]:
     from packaging.requirements import Requirement
 
-    about, here = importlib.metadata.metadata("ldctoolkit"), machine()
-    python = f"{platform.python_implementation()} {platform.python_version()}, {sys.executable}"
-    yield _line("Python", python, about["Requires-Python"])  # pip has compared them
+    here, python = machine(), f"{platform.python_implementation()} {platform.python_version()}, {sys.executable}"
+    yield _line("Python", python, importlib.metadata.metadata("ldctoolkit")["Requires-Python"])  # pip compares them
     yield _line("platform", f"{here['system']}, {here['architecture']}, {here['processor']}")
     yield _line("ldctoolkit", f"{__version__}, {Path(__file__).resolve().parents[2]}")
-    needed = [Requirement(text) for text in importlib.metadata.requires("ldctoolkit") or ()]
-    for extra in ("", *(name for name in about.get_all("Provides-Extra") or () if name not in _NOT_SHOWN)):
-        for one in needed:
-            if one.marker.evaluate({"extra": extra}) if one.marker else not extra:
-                yield _package(one, extra)
+    for one in map(Requirement, importlib.metadata.requires("ldctoolkit") or ()):
+        extra = "".join(re.findall(r'extra == "(\w+)"', str(one.marker)))
+        if extra not in _NOT_SHOWN and (one.marker is None or one.marker.evaluate({"extra": extra})):
+            yield _package(one, extra)
 
 
 def _package(needed: Any, extra: str) -> _Line:
@@ -133,8 +132,8 @@ def _compilers() -> Iterator[_Line]:
 
     found, to_do = " ".join(external.compiler() or ()), 'install gcc or clang, or: pip install "ldctoolkit[export]"'
     yield _line("compiler of ldc export", found or "none", "cc or ziglang", found, "missing", to_do)
-    found, to_do = c_compiler(), "install gcc or clang: nonlinear MPC takes three to four times as long"
-    yield _line("compiler of expressions", found or "none", "cc, gcc or clang", found, "slow", to_do)
+    path, to_do = c_compiler(), "install gcc or clang: nonlinear MPC takes three to four times as long"
+    yield _line("compiler of expressions", path or "none", "cc, gcc or clang", path, "slow", to_do)
     yield _cache("compiled expressions", code_folder(), CACHE)
     yield _line("temporary files", tempfile.gettempdir())
 
