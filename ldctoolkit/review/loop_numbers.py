@@ -284,7 +284,7 @@ def _cameras(plant: Plant, options: PlantOptions) -> list[Camera]:
     """The camera at each speed, its frames as old as they are on average; its filter knows what the law knows."""
     sensors, gains = options.sensors, [None] * plant.n
     if sensors.kalman is not None:
-        from ldctoolkit.vehicle.speed_schedule import filter_gain
+        from ldctoolkit.vehicle.kalman_filter import filter_gain
 
         gains = list(filter_gain(plant, sensors.kalman, 1))
     held, matrices = sensors.age(plant.dt, held=True), ("A", "B", "B_old", "E_0", "E_1")

@@ -23,7 +23,8 @@ from ldctoolkit.setup import Setup
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.vehicle import Convention, Plant, SteadyState, VehicleParameters, discretize
 from ldctoolkit.vehicle.bicycle import GRAVITY, checked_speeds, error_dynamics_matrices, steady_cornering
-from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, filter_columns
+from ldctoolkit.vehicle.kalman_filter import filter_columns
+from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
 from ldctoolkit.vehicle.vehicle_model import RecordedTurn, VehicleModel, equations
 
 KeptPaths = tuple[FloatArray, IntArray, IntArray]  # paths of chosen rows, these, and which of them triggered

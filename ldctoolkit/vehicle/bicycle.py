@@ -27,6 +27,7 @@ from ldctoolkit.declared import (
 )
 from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, discretize
+from ldctoolkit.vehicle.speed_schedule import sampled
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,9 +70,7 @@ class Plant:
     @functools.cached_property
     def augmented(self) -> AugmentedStep:
         """One sample behind the actuator at each speed, exact to rounding; computed once."""
-        from ldctoolkit.vehicle.speed_schedule import sampled
-
-        return sampled(self)
+        return sampled(self.model, self.v, self.dt, self.lag, self.delay)
 
     @property
     def n(self) -> int:

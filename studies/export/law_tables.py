@@ -27,7 +27,8 @@ from ldctoolkit.controllers import (
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller, check_law
 from ldctoolkit.setup import Setup
-from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, chebyshev, filter_columns
+from ldctoolkit.vehicle.kalman_filter import filter_columns
+from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, chebyshev
 
 UNITS: Final = {
     "F": "rad/m, rad s/m, rad/rad, rad s/rad: feedback on the state", "f_u": "rad/rad: previous command",

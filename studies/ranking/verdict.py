@@ -235,10 +235,8 @@ def _score(ranking: RankedDesigns, i: int) -> str:
     ]
     costs = f"; control adds {_list(added)} (95 % quantiles)" if added else ""
     share = math.nan if ranking.designs[i].is_baseline else ranking.needless(i)
-    needless = (
-        f" In {100 * share:.1f} % of departures it intervenes needlessly: the recorded path stays within "
-        f"{-DTLE_LIMIT:g} m beyond the line."
-    )
+    needless = f" In {100 * share:.1f} % of departures it intervenes needlessly: the recorded path stays within "
+    needless += f"{-DTLE_LIMIT:g} m beyond the line."
     return f"Mean S {S:.3f} m s on {ranking.sample(i)}{between}{change}{costs}.{'' if math.isnan(share) else needless}"
 
 

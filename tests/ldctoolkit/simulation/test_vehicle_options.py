@@ -20,7 +20,7 @@ from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Tyres
 from ldctoolkit.simulation.takeover import true_vehicles
 from ldctoolkit.vehicle import Convention
-from ldctoolkit.vehicle.speed_schedule import filter_gain
+from ldctoolkit.vehicle.kalman_filter import filter_gain
 
 DT, SETTLE = 0.05, 0.4
 STEP = 0.02  # [rad], of the command
