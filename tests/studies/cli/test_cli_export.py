@@ -182,5 +182,7 @@ def test_the_worst_departures_for_other_simulators(folder: Path) -> None:
     )
     (file,) = (folder / "none").iterdir()
     assert {row["trigger_time_s"] for row in csv_rows(file)} == {""}
-    assert "no departure with this number can be simulated" in bad("scenarios", "plain", "--departure", 9999, cwd=folder)
+    assert "no departure with this number can be simulated" in bad(
+        "scenarios", "plain", "--departure", 9999, cwd=folder
+    )
     assert "--worst" in bad("scenarios", "plain", "--worst", 0, cwd=folder)
