@@ -40,7 +40,8 @@ def claims() -> dict[str, dict[str, Any]]:
 
 def claimed(claim: Any) -> float | None:
     """A claim is the number that a table of the documentation has, or ``{ratio, text}`` with the words of a page."""
-    return claim["ratio"] if isinstance(claim, dict) else claim
+    ratio = claim["ratio"] if isinstance(claim, dict) else claim
+    return None if ratio is None else float(ratio)
 
 
 def run(name: str) -> list[dict[str, Any]]:
