@@ -1,14 +1,16 @@
 # Everything runs in .venv, made from pyproject.toml and the pins in constraints.txt.
+# Another interpreter has an environment of its own: make test PYTHON=python3.13 VENV=.venv-3.13
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+LOWEST := .venv-lowest
 AXE_CORE := 4.14.1
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help study test test-all test-long test-slow test-browser ruff lint docs pictures bench format clean
+.PHONY: help environment study test tier test-all test-long test-slow test-browser test-lowest release ruff lint docs pictures bench bench-history format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -30,6 +32,8 @@ $(VENV)/.axe-core-$(AXE_CORE): $(VENV)/.runtime
 	  npm install --silent --no-save --no-package-lock --no-audit --no-fund --ignore-scripts --prefix $(VENV) axe-core@$(AXE_CORE) && touch $@; \
 	else echo "npm is not on PATH: tests with axe-core are skipped"; fi
 
+environment: $(VENV)/.dev
+
 $(VENV)/.bench: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'
 	@touch $@
@@ -49,20 +53,36 @@ lint: ruff  ## ruff and mypy --strict
 	$(BIN)/mypy
 
 test: ruff  ## ruff, and the tests that a change should pass, in minutes
+	@$(MAKE) --no-print-directory tier
+
+tier:
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/compile_loops.py  # before two workers would do so each for itself
 	-@$(BIN)/pytest --collect-only -qq > /dev/null  # their assertions are rewritten once, not by each worker
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not slow and not browser"
 
-test-all: test test-long  ## types and the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
+test-all: test test-long  ## types, the release and the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
 
 test-long: $(VENV)/.dev $(VENV)/.docs $(VENV)/.axe-core-$(AXE_CORE)
-	@$(MAKE) --no-print-directory -j2 -Otarget test-slow test-browser lint docs
+	@$(MAKE) --no-print-directory -j2 -Otarget test-slow test-browser lint docs release
 
 test-slow:
 	LDC_TESTS=long OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "(slow or hypothesis) and not browser"
 
 test-browser: docs  # one process: a browser beside another may wait for ever; it opens the built pages too
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m browser
+
+# an environment of its own, without constraints.txt; tools that check the code itself run in the other one
+test-lowest: $(VENV)/.dev  ## the tests of `make test` with the lowest versions that pyproject.toml declares
+	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python $(LOWEST)
+	$(BIN)/uv pip compile --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --only-binary :all: --extra dev pyproject.toml --output-file $(LOWEST)/lowest.txt
+	$(BIN)/uv pip sync --quiet --python $(LOWEST)/bin/python $(LOWEST)/lowest.txt
+	$(BIN)/uv pip install --quiet --python $(LOWEST)/bin/python --no-deps --editable .
+	@$(MAKE) --no-print-directory tier VENV=$(LOWEST)
+
+release: $(VENV)/.dev  ## wheel and sdist into dist, tried in a clean environment outside the checkout
+	@rm -rf dist
+	$(BIN)/python -m build --outdir dist . > /dev/null
+	$(BIN)/python tools/try_release.py dist
 
 docs: $(VENV)/.docs  ## the documentation into out/docs; a warning is an error
 	@rm -rf docs/reference/generated
@@ -71,21 +91,15 @@ docs: $(VENV)/.docs  ## the documentation into out/docs; a warning is an error
 pictures: $(VENV)/.dev  ## the README's pictures in docs/_pictures anew; needs Chromium
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/_ext/front.py docs/_pictures
 
-bench: $(VENV)/.bench  ## ratios against named references
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/closed_loop.py
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/against_plain_numba.py
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/extraction.py
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/linear_mpc.py
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/mixture.py
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/nonlinear_mpc.py
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/ranking.py
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/report_size.py
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/risk.py
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/study_overhead.py
+bench: $(VENV)/.bench  ## ratios against named references, beside those that the documentation claims
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/history.py
+
+bench-history: $(VENV)/.bench  ## the same, and kept with date, commit and machine in out/benchmarks.jsonl
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/history.py --keep out/benchmarks.jsonl
 
 format: $(VENV)/.dev  ## rewrite the code in the project's format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-clean:  ## remove the environment and what a study wrote
-	rm -rf $(VENV) out build dist
+clean:  ## remove the environments and what a study wrote
+	rm -rf $(VENV) .venv-* out build dist

@@ -74,7 +74,7 @@ def signal_of(name: Any, path: str) -> tuple[str, float]:
     """A signal and its lookahead time [s]."""
     base, ahead, time = str(name).partition("@")
     if base not in (*STATE, *_LANE, *_OTHERS):
-        raise UnknownNameError(path, "is no signal", value=name, allowed=(*STATE, *_LANE, *_OTHERS))
+        raise UnknownNameError(path, "is not a signal", value=name, allowed=(*STATE, *_LANE, *_OTHERS))
     try:
         if ahead and (base not in _LANE or not -10.0 <= float(time) < np.inf):
             raise ValueError
@@ -302,7 +302,7 @@ def CLaw(path: str | Path, *, name: str = "") -> Controller:
     folder = path if path.is_dir() else path.parent
     files = sorted(file for file in folder.glob("*.c") if file.name != "main.c") if path.is_dir() else [path]
     if not files or files[0].suffix not in (".c", ".so", ".dylib", ".dll"):
-        raise InputError(path, "is no C code", allowed="a folder that ldc export wrote, a C source or a library")
+        raise InputError(path, "is not C code", allowed="a folder that ldc export wrote, a C source or a library")
     contents, header = [read_file(file) for file in files], read_file(folder / HEADER)
     if command is None:
         raise LdcError("cc", "is not installed, and C code needs it", hint='pip install "ldctoolkit[export]"')

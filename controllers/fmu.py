@@ -68,7 +68,7 @@ class _Fmu:
             self.description = fmpy.read_model_description(io.BytesIO(content), validate=False)
             platforms = [name for name in fmpy.supported_platforms(io.BytesIO(content)) if name != "c-code"]
         except Exception as error:  # whatever its readers raise
-            raise InputError(path, f"is no FMU that can be read ({first_line(error)})", allowed=allowed) from None
+            raise InputError(path, f"cannot be read as an FMU ({first_line(error)})", allowed=allowed) from None
         self.version, self.kind = str(self.description.fmiVersion)[:1], self.description.coSimulation
         if self.version not in ("2", "3") or self.kind is None:
             problem = f"is of FMI {self.description.fmiVersion}{'' if self.kind else ', for model exchange only'}"
@@ -86,7 +86,7 @@ class _Fmu:
         """A variable by its name; raises where it cannot be used."""
         path, variable = f"{self.path.name}: {path}", self.variables.get(name) if isinstance(name, str) else None
         if variable is None:
-            raise UnknownNameError(path, "is no variable of the FMU", value=name, allowed=self.named(causality))
+            raise UnknownNameError(path, "is not a variable of the FMU", value=name, allowed=self.named(causality))
         if variable.causality != causality:
             problem = f"has the causality {variable.causality or 'local'}"
             raise InputError(path, problem, value=name, allowed=causality)
@@ -379,7 +379,7 @@ class FmuVehicle(VehicleModel):
             for signal, name in pairs:
                 if known[table] and signal not in known[table]:
                     raise UnknownNameError(
-                        f"{fmu.path.name}: {table}", "is no signal", value=signal, allowed=known[table]
+                        f"{fmu.path.name}: {table}", "is not a signal", value=signal, allowed=known[table]
                     )
                 fmu.check(name, causality, _REALS if table == "outputs" else _NUMBERS, f"{table}.{signal}")
             object.__setattr__(self, table, pairs)

@@ -22,6 +22,7 @@ from ldctoolkit.control import Controller, LinearLaw
 from ldctoolkit.declared import gain
 from ldctoolkit.errors import LdcError
 from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
+from ldctoolkit.vehicle.discretization import augmented
 from ldctoolkit.vehicle.speed_schedule import scheduled
 
 Weights = tuple[float, float, float, float]
@@ -187,7 +188,7 @@ class _Riccati:
         return f"q = {self.q}, {integral}r = {self.r}, dt = {self.dt:g} s{actuator}"
 
     def __call__(self, v: FloatArray) -> FloatArray:
-        A, B, _, _ = in_time(Plant.build(self.model, v, self.dt, lag=self.lag, delay=self.part))
+        A, B, _, _ = augmented(*self.model.matrices(v), self.dt, lag=self.lag, delay=self.part).with_commands()
         m, k = B.shape
         q = np.array((*self.q, *(k - 4) * (0.0,), *(() if self.q_i is None else (self.q_i,))))
         full, inputs = np.zeros((m, q.size, q.size)), np.zeros((m, q.size))

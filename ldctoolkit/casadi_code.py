@@ -88,10 +88,19 @@ def compiled(functions: tuple[Any, ...], name: str) -> tuple[Any, ...]:
         return functions
 
 
+def c_compiler() -> str | None:
+    """Path of a C compiler for shared libraries; None without one."""
+    return None if sys.platform == "win32" else shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+def code_folder() -> Path:
+    """Where compiled expressions are kept."""
+    return Path(os.environ.get(CACHE) or cache_folder())
+
+
 def _library(functions: tuple[Any, ...], name: str) -> Path | None:
     """The compiled library, made if it is not there yet; None where it cannot be made, or kept from others."""
-    compiler = None if sys.platform == "win32" else shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
+    if (compiler := c_compiler()) is None:
         return None
     import casadi as ca
 
@@ -101,7 +110,7 @@ def _library(functions: tuple[Any, ...], name: str) -> Path | None:
     text = str(generator.dump())
     key = hashlib.sha256("\n".join([compiler, *_OPTIONS, platform.platform(), text]).encode()).hexdigest()[:24]
     try:
-        folder = Path(os.environ.get(CACHE) or cache_folder())
+        folder = code_folder()
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         target = folder / f"{name}-{key}.so"
         if not private(folder):

@@ -51,7 +51,7 @@ def check_parameters(path: str, names: Iterable[str]) -> None:
     """Raise `InputError` at `path` for a name that is none of the eight parameters."""
     for name in names:
         if name not in PARAMETER_NAMES:
-            raise InputError(path, "is no parameter", value=name, allowed=PARAMETER_NAMES)
+            raise InputError(path, "is not a parameter of departures", value=name, allowed=PARAMETER_NAMES)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

@@ -244,7 +244,7 @@ def _names(model: SideModel | BoundedGaussianMixture, names: Sequence[str] | Non
     if labels is None:
         return tuple(f"x{j}" for j in range(dimension))
     if len(labels) != dimension:
-        raise InputError("names", f"{len(labels)} names", allowed=f"{dimension}, one a column")
+        raise InputError("names", f"{len(labels)} names", allowed=f"{dimension}, one per column")
     return tuple(str(name) for name in labels)
 
 

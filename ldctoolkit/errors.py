@@ -187,7 +187,7 @@ class CheckedArguments:
             """Raise `UnknownArgumentError` for a name that `__init__` does not know."""
             for name in given:
                 if name not in (names := _arguments(cls) or given):
-                    raise UnknownArgumentError(cls.__name__, "is no argument", value=name, allowed=tuple(names))
+                    raise UnknownArgumentError(cls.__name__, "is not an argument", value=name, allowed=tuple(names))
             return super().__new__(cls)
 
 

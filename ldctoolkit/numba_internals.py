@@ -13,6 +13,8 @@ from types import ModuleType
 from typing import Any, Final
 
 from numba.core import cgutils
+from numba.core.caching import FunctionCache
+from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
 import ldctoolkit.compiling as compiling
@@ -44,6 +46,19 @@ def uncounted(typing, array):  # noqa: ARG001
         return bare._getvalue()
 
     return array(array), build
+
+
+def kept(module: ModuleType) -> dict[str, bool]:
+    """Functions of a module that stay on disk once compiled, and whether they are there; nothing is compiled.
+
+    What is there is of the present source and for this processor; another type of an argument may still be missing.
+    """
+    codegen = cpu_target.target_context.codegen()
+    caches = {name: getattr(function, "_cache", None) for name, function in vars(module).items()}
+    return {
+        name: any(key[1:] == cache._index_key((), codegen)[1:] for key in cache._cache_file._load_index())
+        for name, cache in caches.items() if isinstance(cache, FunctionCache)
+    }  # fmt: skip
 
 
 def source_version(modules: Iterable[ModuleType], *words: str) -> int:

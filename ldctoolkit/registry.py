@@ -161,7 +161,7 @@ def controller_class(name: str) -> type[Controller]:
     point = entry_points(GROUP).get(name)
     if point is None:
         hint = "a class of your own needs an entry point, or ldctoolkit.register(...) in each program"
-        raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names(), hint=hint)
+        raise UnknownNameError("law", "is not a known control law", value=name, allowed=controller_names(), hint=hint)
     return _load(name, point)
 
 

@@ -303,7 +303,7 @@ def _numbers(name: str, value: npt.ArrayLike) -> FloatArray:
     try:
         array = np.asarray(unmasked(value))
     except ValueError:
-        raise InputError(path, "rows of different lengths", allowed="one number a row") from None
+        raise InputError(path, "rows of different lengths", allowed="one number per row") from None
     if name == "side" and array.dtype.kind in "UO":
         for i, word in enumerate(array.ravel().tolist()):
             if word not in SIDES:

@@ -98,13 +98,15 @@ class Setup(CheckedArguments):
         check_declared(self)
         expect("vehicle_model", self.vehicle_model, VehicleModel | None)
         if self.trigger == "distance" and self.ttlc != TTLC:
-            raise InputError("ttlc", "with trigger 'distance'", value=self.ttlc, hint="allowed with trigger = 'ttlc'")
+            raise InputError(
+                "ttlc", "is ignored with trigger 'distance'", value=self.ttlc, hint="trigger = 'ttlc' uses it"
+            )
         object.__setattr__(self, "seed", checked_seed(self.seed))
         object.__setattr__(self, "options", self.options.sampled(self.dt))
         if self.model.convention != "consistent" and not self.options.tyres.ideal:
             raise InputError(
                 "convention",
-                f"with tyres.model {self.options.tyres.model!r}; the printed matrix is linear",
+                f"cannot be combined with tyres.model {self.options.tyres.model!r}: the printed matrix is linear",
                 value=self.convention,
                 allowed="'consistent'",
             )

@@ -71,6 +71,16 @@ def usable_cores() -> int:
         return os.cpu_count() or 1
 
 
+def machine() -> dict[str, Any]:
+    """System, architecture, processor and cores, without names of hosts or users."""
+    processor = platform.processor()
+    with contextlib.suppress(OSError):  # not Linux
+        match = re.search(r"^model name.*?: *(.*)", Path("/proc/cpuinfo").read_text(errors="replace"), re.MULTILINE)
+        processor = match[1].strip() if match else processor
+    system, architecture = f"{platform.system()} {platform.release()}", platform.machine()
+    return {"system": system, "architecture": architecture, "processor": processor, "cores": os.cpu_count() or 1}
+
+
 def free_memory() -> float:
     """Bytes of memory that are free; infinite where the system does not say."""
     free = math.inf

@@ -51,7 +51,7 @@ def _problem(problem: Any, content: Any, model: type[BaseModel]) -> InputError:
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return InputError(_path(location), "no such key", allowed=_keys(model, location[:-1]))
     if kind == "missing":
-        return InputError(_path(location), "missing, and has no default")
+        return InputError(_path(location), "is missing and has no default")
     value = _look_up(content, location)
     if location and isinstance(location[-1], int) and not isinstance(_look_up(content, location[:-1]), list | tuple):
         location.pop()  # a scalar was written where a list is allowed too

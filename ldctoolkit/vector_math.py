@@ -2,6 +2,7 @@
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Final
@@ -155,6 +156,7 @@ _TERMS: Final = 12  # of each series of a tyre
 TYRE_SERIES: Final = 2 * _TERMS + 2
 
 
+@functools.lru_cache
 def tyre_series(shape: float) -> FloatArray:
     """Numbers by which `tyre_force` works for a shape factor C from 1 to 2.
 

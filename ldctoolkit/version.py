@@ -1,13 +1,16 @@
-"""What is installed: the version, read from the package's metadata so that it stands in one place, and packages."""
+"""The version of this code, and of installed packages."""
 
 import functools
 import importlib.metadata
 from typing import Final
 
-__version__ = importlib.metadata.version("ldctoolkit")
+__version__ = "1.0.0"  # as in pyproject.toml; metadata of an editable installation may be older than its code
 
 DECISIVE: Final = ("ldctoolkit", "numpy", "scipy", "numba", "casadi", "daqp", "osqp", "qpsolvers", "control")
 """Packages whose versions decide a number's last bits: the same on every worker, and wherever a study is resumed."""
+
+RECORDED: Final = (*DECISIVE, "polars", "pydantic", "loky")
+"""Packages whose versions are recorded with a study."""
 
 Versions = tuple[tuple[str, str], ...]  # names of packages and their versions; `"not installed"` where there is none
 
@@ -20,7 +23,7 @@ def versions(packages: tuple[str, ...] = DECISIVE) -> Versions:
 
 def _version(name: str) -> str:
     try:
-        return importlib.metadata.version(name)
+        return __version__ if name == "ldctoolkit" else importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return "not installed"
 

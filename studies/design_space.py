@@ -138,7 +138,7 @@ def read_entry(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> D
         return Choices(expand(entry, scale, whole=whole))
     first, last, spacing = _ends(entry, scale)
     if first == last:
-        raise InputError("", "is both from and to", value=first, allowed="two different numbers")
+        raise InputError("", "is given as from and as to", value=first, allowed="two different numbers")
     return Span(first, last, spacing, whole)
 
 
@@ -435,9 +435,9 @@ def check_blocks(blocks: Sequence[DesignBlock], *, searched: bool) -> None:
     """Refuse tables that do not fit a study with a search, or one without."""
     for i, block in enumerate(blocks):
         if searched and block.sample is not None:
-            raise InputError(f"design[{i}].sample", "in a study with [search]", allowed="no sample")
+            raise InputError(f"design[{i}].sample", "is not possible with [search]", allowed="no sample")
         if not searched and block.sample is None and block.uncounted:
-            hint = "it may be left out with [design.sample], or in a study with [search]"
+            hint = "only a [design.sample] and a study with [search] need no count"
             raise InputError(f"design[{i}].{block.uncounted}.count", "missing", hint=hint)
 
 
@@ -485,7 +485,7 @@ def named_laws(
             files = {**files, given.name: str((folder / law).resolve())} if of_file else files
             given = given.name
         elif of_file:
-            raise InputError(path, "is no controller", value=law, allowed=_LAW)
+            raise InputError(path, "is not a known control law", value=law, allowed=_LAW)
         names.append(given)
     names, written = names[len(stored) :], table.get("gains", {})
     table = table | {"law": names if isinstance(laws, list | tuple) else names[0]} | ({"files": files} if files else {})

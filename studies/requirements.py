@@ -72,7 +72,7 @@ def metric(name: str) -> Metric:
         # the beginning of an alias, such as ``ay``, is too short to be compared by its letters
         begun = next((target for alias, target in _ALIASES.items() if name and alias.startswith(name)), name)
         known_names = (*METRICS, *users, *standard_names())
-        raise UnknownNameError("metric", "is no metric", value=name, hint=nearest(begun, known_names))
+        raise UnknownNameError("metric", "is not a metric", value=name, hint=nearest(begun, known_names))
     return METRICS[known]
 
 
@@ -287,7 +287,7 @@ def parse_requirement(text: str) -> Requirement:
     match = _TEXT.fullmatch(text) if isinstance(text, str) else None
     if match is None and isinstance(text, str) and re.fullmatch(r"[a-z0-9-]{3,}", text) and text not in _ALIASES:
         near = nearest(text, (*SETS, *standard_names()))
-        raise UnknownNameError("requirement", "is no set of requirements", value=text, hint=near)
+        raise UnknownNameError("requirement", "is not a set of requirements", value=text, hint=near)
     if match is None:
         raise InputError(
             "requirement",

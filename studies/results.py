@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import math
 import statistics
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -38,8 +37,8 @@ FAILED_STATUSES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, Event
 
 
 def score_label(window: Window, convention: Convention) -> str:
-    """Window of S and reading of the paper: ``"departure window, consistent"``."""
-    return f"{window} window, {convention.replace('_', ' ')}"
+    """Window of S and reading of the paper: ``"departure window, signs consistent"``."""
+    return f"{window} window, signs {convention.replace('_', ' ')}"
 
 
 def status_among(status: npt.NDArray[np.int8], which: Sequence[EventStatus]) -> BoolArray:
@@ -133,7 +132,7 @@ class RefitScores:
     failed: int  # Refits that could not be made, or driven
     factor: float  # Of standard deviations over refits, for few and unequal clusters
     df: float  # Degrees of freedom
-    key: tuple[str, ...]  # What they follow from, see `refits_key`
+    key: tuple[str, ...]  # What they follow from: ranking, model, recordings and number
     text: str  # What the recorded departures come from; without refits why there are none
     doubt: str  # Why their interval cannot be trusted; may be empty
 
@@ -198,19 +197,13 @@ class StudyResults(Frame):
 
     @property
     def label(self) -> str:
-        """Window of S and reading of the paper: ``"departure window, consistent"``."""
+        """Window of S and reading of the paper: ``"departure window, signs consistent"``."""
         return score_label(self.window, self.convention)
 
     @property
     def options(self) -> PlantOptions | None:
         """The plant of the runs; None where it is not known."""
         return None if self.setup is None else self.setup.options
-
-    @property
-    def companions(self) -> MetricValues:
-        """The former name of `metrics`."""
-        warnings.warn("companions: the name is metrics now", DeprecationWarning, stacklevel=2)
-        return self.metrics
 
     @property
     def failed_runs(self) -> BoolArray:

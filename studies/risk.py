@@ -412,7 +412,7 @@ def estimate_risk(
     source = study_source(study, model)
     if not isinstance(source, ScenarioModel):
         raise InputError(
-            f"study {study.name}", "recorded departures, which have no tail beyond themselves", hint="give a model"
+            f"study {study.name}", "replays recorded departures: none is rarer than those", hint="give a model"
         )
     for name, values, least in (("depths", depths, 0.0), ("dtle_limits", dtle_limits, -np.inf)):
         if not all(least < x < np.inf for x in values):

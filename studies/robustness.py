@@ -23,7 +23,6 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover, Window
 from ldctoolkit.vehicle import Convention, VehicleModel
-from ldctoolkit.version import versions
 
 from .design import Design, is_paper_design
 from .measures import drive_on_plants, first_of_each_side, on_model, trigger_speeds
@@ -33,6 +32,7 @@ from .ranking.verdict import Light, OtherPlants, design_name
 from .results import status_among
 from .standards import VEHICLES
 from .storage.folder_files import read_fields, write_fields
+from .storage.store import ROBUSTNESS
 from .text import percent
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def _harder(options: PlantOptions) -> Iterator[_Row]:
             factor = max(factor, 1.1 * max(ends)) if factor > 1.0 else min(factor, 0.9 * min(ends))  # beyond the range
             title, what = _VEHICLES[name]
             mismatch = dataclasses.replace(options.mismatch, **dict.fromkeys(factors, (factor, factor)))
-            yield name, title, f"{what} times {factor:g}; laws do not know", {"mismatch": mismatch}
+            yield name, title, f"{what} times {factor:g}; the laws are not told", {"mismatch": mismatch}
     if options.tyres.ideal:
         what = f"magic formula, friction coefficient {REAL.tyres.mu:g}"
         yield "tyres", "Saturating tyres", what, {"tyres": REAL.tyres}
@@ -164,7 +164,7 @@ def _worse_camera(sensors: Sensors) -> Iterator[_Row]:
         )
         yield "noise", "Camera noise", what, with_changes(**noise)
     delay, doubled = min(2.0 * sensors.delay, 10.0) or real.delay, " doubled" if sensors.delay else ""
-    yield "camera-delay", f"Camera delay{doubled}", f"{delay:g} s from light to number", with_changes(delay=delay)
+    yield "camera-delay", f"Camera delay{doubled}", f"{delay:g} s from image to measurement", with_changes(delay=delay)
     slow = max(sensors.period, CAMERA_PERIOD)
     if sensors.period < slow:
         yield "camera-rate", "15 Hz camera", "15 frames a second", with_changes(period=slow)
@@ -202,11 +202,11 @@ def _easier(options: PlantOptions) -> Iterator[_Row]:
     sensors = options.sensors
     exact = dataclasses.replace(sensors, **{name: getattr(Sensors(), name) for name in _ERRORS})
     prompt, no_filter = dataclasses.replace(sensors, delay=0.0, period=0.0), dataclasses.replace(sensors, kalman=None)
-    yield "no-actuator", "Without actuator", "the wheel is at the command, at once", {"actuator": Actuator()}
+    yield "no-actuator", "Without actuator", "the steering angle follows the command at once", {"actuator": Actuator()}
     nominal = {"tyres": Tyres(), "mismatch": Mismatch()}
     yield "nominal", "Nominal vehicle", "the vehicle is as the laws know it, with linear tyres", nominal
     yield "no-noise", "Without camera noise", "the camera has no errors", {"sensors": exact}
-    yield "no-camera-delay", "Without camera delay", "frames at every sample, at once", {"sensors": prompt}
+    yield "no-camera-delay", "Without camera delay", "a frame at every sample, without delay", {"sensors": prompt}
     yield "no-filter", "Without Kalman filter", "laws see the true rates", {"sensors": no_filter}
     yield "no-residuals", "Without residuals", "path and speed are the fitted curves", {"residuals": Residuals()}
     yield "ideal", "Ideal plant", "none of the options of the study\u2019s plant", vars(PlantOptions())
@@ -426,7 +426,6 @@ class RobustnessTask:
         selection = self.chosen
         identity = [
             _FORMAT,
-            versions(),
             [[design.id, contends] for design, contends in zip(selection.designs, selection.contends, strict=True)],
             [selection.slow, selection.unsafe, selection.more],
             [dataclasses.asdict(plant) for plant in self.plants],
@@ -504,20 +503,15 @@ def _means(values: FloatArray) -> FloatArray:
     return row_means(values.reshape(-1, values.shape[2])).reshape(values.shape[:2])
 
 
-NAME: Final = "robustness.json"
-
-
 def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
     """The numbers of a task: read from the study's folder if they are stored there, else computed and stored."""
-    stored = stored_of(folder, task)
-    if stored is not None:
-        return stored
-    robustness = work_out(task)
-    write_fields(folder / NAME, robustness)
+    robustness = stored_of(folder, task)
+    if robustness is None:
+        write_fields(folder / ROBUSTNESS, robustness := work_out(task))
     return robustness
 
 
 def stored_of(folder: Path, task: RobustnessTask) -> Robustness | None:
     """The numbers of a task in a study's folder; None if there are none, or if they belong to another task."""
-    stored = read_fields(folder / NAME, Robustness)
+    stored = read_fields(folder / ROBUSTNESS, Robustness)
     return stored if stored is not None and stored.key == task.key else None

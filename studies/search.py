@@ -318,7 +318,7 @@ class Search:
                 raise InputError("tell", f"design {name} was proposed and is missing")
         for name, given in values.items():
             if name not in self._untold:
-                raise InputError("tell", "is no design of the last batch", value=name, allowed=self._untold)
+                raise InputError("tell", "is not a design of the last batch", value=name, allowed=self._untold)
             if given is not None and len(given) != len(self._signs):
                 allowed = f"{len(self._signs)}, one for each objective"
                 raise InputError("tell", f"design {name}: {len(given)} values", allowed=allowed)

@@ -121,9 +121,9 @@ class Standard(Part):
         for rate in (rate for grid in self.cells for rate in grid.lateral_velocity_m_s):
             if rate not in rates:
                 allowed = f"one of {rates}"
-                raise InputError("cells", "is no lateral_velocity_m_s of [drift]", value=rate, allowed=allowed)
+                raise InputError("cells", "is not among lateral_velocity_m_s of [drift]", value=rate, allowed=allowed)
         if drift is not None and len(drift.distance_m) != len(rates):
-            raise InputError("drift.distance_m", f"{len(drift.distance_m)} values", allowed="one a lateral velocity")
+            raise InputError("drift.distance_m", f"{len(drift.distance_m)} values", allowed="one per lateral velocity")
         slowest = min(speed for grid in self.cells for speed in grid.speed_km_h)
         if drift is not None and drift.radius_m[0][0] > slowest:
             problem = f"begins at {drift.radius_m[0][0]:g} km/h"
@@ -138,7 +138,7 @@ class Standard(Part):
             if isinstance(limit, tuple) and bends:
                 raise InputError(path, "a list beside cells in bends", allowed="a number")
             if isinstance(limit, tuple) and len(limit) != len(rates):
-                raise InputError(path, f"{len(limit)} values", allowed="one a lateral velocity")
+                raise InputError(path, f"{len(limit)} values", allowed="one per lateral velocity")
         return self
 
     def assessable(self, driver: Driver) -> Self:

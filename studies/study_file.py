@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, Valida
 from ldctoolkit.checked_files import read_toml
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
+from ldctoolkit.deprecation import Deprecation
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
 from ldctoolkit.metrics import MEAN_OF_ALL, measured_on, user_rows
 from ldctoolkit.plant_options import PlantOptions
@@ -38,7 +39,7 @@ def _names(entry: Any) -> Any:
     """One name or several, each once, as a tuple; what is neither stays for the check to refuse."""
     values = (entry,) if isinstance(entry, str) else entry
     if isinstance(values, list | tuple) and len(set(map(str, values))) != len(values):
-        raise InputError(value=entry, allowed="each once")
+        raise InputError(value=entry, allowed="each of them once")
     return tuple(values) if isinstance(values, list | tuple) else entry
 
 
@@ -80,6 +81,9 @@ def read_table(kind: type, table: dict[str, Any], prefix: str = "") -> Any:
                 raise InputError(path, value=entry, allowed="a table of keys")
             values[key] = read_table(declaration.kind, entry, f"{path}.")
     return kind(**values)
+
+
+FORMER_KEYS: Final[dict[str, Deprecation]] = {}  # as ``{"ranking.old": Deprecation("1.1", "1.2", "new")}``
 
 
 class RankingSettings(Part):
@@ -162,13 +166,13 @@ class ScenarioSettings(Part):
         if self.left == self.right == 0:
             raise InputError("", "left and right are both 0", allowed="at least one scenario")
         if self.departures and self.table:
-            raise InputError("table", "with departures", value=self.table, allowed="one of the two")
+            raise InputError("table", "cannot be combined with departures", value=self.table, allowed="one of the two")
         if not (self.model or self.replayed):
-            raise InputError("model", "empty", allowed="a model, or departures or table beside it")
+            raise InputError("model", "is empty", allowed="a model, unless departures or table are given")
         if self.path == "recorded" and not self.departures:
-            raise InputError("path", "without departures", value=self.path, allowed="with a departures table")
+            raise InputError("path", "needs a departures table", value=self.path, allowed="with departures")
         if self.weights and not self.replayed:
-            raise InputError("weights", "without departures or table", value=self.weights, allowed="a column of either")
+            raise InputError("weights", "needs departures or table", value=self.weights, allowed="a column of either")
         return self
 
     @property
@@ -302,7 +306,7 @@ class Study(Part):
             raise InputError("design", "no designs", allowed="one [[design]] table or more")
         check_blocks(self.design, searched=self.search is not None)
         if self.search and self.ranking.extend:
-            raise InputError("ranking.extend", "with [search]", value=self.ranking.extend, allowed="0")
+            raise InputError("ranking.extend", "is not possible with [search]", value=self.ranking.extend, allowed="0")
         size = 0 if self.search else sum(block.size for block in self.design)
         if size > MOST_DESIGNS:
             raise InputError("design", f"the grids make {size} designs", allowed=f"at most {MOST_DESIGNS}")
@@ -339,9 +343,9 @@ class Study(Part):
             if any(design.id.startswith(baseline) for design in self.designs):
                 return self
             hint = "ranking.csv lists the identifiers"
-            raise InputError("ranking.baseline", "starts no design's identifier", value=baseline, hint=hint)
-        hint = "or the start of a design's identifier"
-        raise InputError("ranking.baseline", "no such law", value=baseline, allowed=laws, hint=hint)
+            raise InputError("ranking.baseline", "is not the start of a design's identifier", value=baseline, hint=hint)
+        hint = "the start of a design's identifier is allowed, too"
+        raise InputError("ranking.baseline", "is not a law of this study", value=baseline, allowed=laws, hint=hint)
 
     @model_validator(mode="after")
     def _valid_setup(self) -> Self:
@@ -393,6 +397,8 @@ class Study(Part):
             Vehicle models by what the content calls them; the others are loaded from their files.
         """
         known = dict(models or {})
+        for key, deprecation in FORMER_KEYS.items():
+            content = deprecation.key(content, key)
         try:
             place = Path(folder or ".")
             content = load_laws(content, place, laws := dict(classes or {}))
@@ -655,7 +661,7 @@ def load_study(name_or_path: str | Path) -> Study:
         return Study.from_toml(CATALOG / f"{name_or_path}.toml")
     if path.is_dir():
         allowed = "a name in the catalog, or a TOML file"
-        raise StudyError(path, "a folder", allowed=allowed, hint="ldc rank reads results")
+        raise StudyError(path, "is a folder", allowed=allowed, hint="ldc rank DIR ranks the results in a folder")
     if path.suffix == ".toml" or path.exists():
         return Study.from_toml(path)
     problem = "is neither a file nor in the catalog"

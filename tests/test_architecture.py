@@ -26,6 +26,7 @@ LEVELS = (
         "ldctoolkit.casadi_code",
         "ldctoolkit.code_content",
         "ldctoolkit.compiling",
+        "ldctoolkit.deprecation",
         "ldctoolkit.errors",
         "ldctoolkit.vector_math",
         "ldctoolkit.lanes",

@@ -5,6 +5,7 @@ import doctest
 import importlib
 import inspect
 import itertools
+import json
 import re
 import shlex
 import sys
@@ -166,6 +167,20 @@ def test_paths_of_pages_in_code_exist() -> None:
         if file.suffix in (".py", ".md", ".toml", ".html", ".js", ".c", ".h", "") and file.is_file():
             for page in re.findall(r"\bdocs/[\w/-]+\.md", file.read_text(encoding="utf-8")):
                 assert (ROOT / page).exists(), (file, page)
+
+
+def test_the_comparison_shows_what_was_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "tests/benchmarks/peers")
+    job, run = (importlib.import_module(name) for name in ("job", "run"))
+    results = json.loads(run.RESULTS.read_text(encoding="utf-8"))
+    assert run.tables(results) in run.PAGE.read_text(encoding="utf-8")
+    scripts = [run.HERE / f"{name}.py" for name in run.SCRIPTS]
+    assert [one["lines"] for one in results["peers"]] == [job.lines(script) for script in scripts]
+    assert [one["lines_shared"] for one in results["peers"]] == [0, *[job.lines(run.HERE / "job.py")] * 3]
+    assert run.far(results) == []
+    results["peers"][1]["mean_S"]["lqr"] *= 1.00002
+    (far,) = run.far(results)
+    assert far.startswith("do-mpc + NumPy, LQR: mean S 2.15708")
 
 
 def test_public_sources_are_the_same_on_the_page_and_at_the_command_line() -> None:

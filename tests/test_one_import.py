@@ -73,9 +73,9 @@ def test_own_arrays_vehicle_requirement_and_a_data_frame() -> None:
     assert study.ranking.require == ("a_y_peak_p95 <= 9",)
     assert repr(results) == (
         "<StudyResults: designs 5: none (1), lqr (2), pid (2); scenarios 20 (10 left, 10 right); "
-        "S departure window, consistent>"
+        "S departure window, signs consistent>"
     )
-    assert repr(ranking).startswith("<Ranking of 5 designs, departure window, consistent: best 'LQR, y_s=0.1 m")
+    assert repr(ranking).startswith("<Ranking of 5 designs, departure window, signs consistent: best 'LQR, y_s=0.1 m")
 
 
 def test_scenarios_of_ones_own_keep_their_numbers() -> None:
@@ -237,9 +237,9 @@ STUDY = ldc.study(ldc.NoControl, left=2, right=2)
         (lambda: ldc.study([ldc.LQR, ldc.PID]), r"^design: \[.*; allowed: .*, each an argument of its own$"),
         (
             lambda: ldc.study("LQR"),
-            r"is no controller; did you mean 'lqr'\?.*; a class of your own needs an entry point",
+            r"is not a known control law; did you mean 'lqr'\?.*; a class of your own needs an entry point",
         ),
-        (lambda: ldc.study({"gains": {"r_delta": 1.0}}), r"^study: design\[0\]\.law: missing, and has no default$"),
+        (lambda: ldc.study({"gains": {"r_delta": 1.0}}), r"^study: design\[0\]\.law: is missing and has no default$"),
         (lambda: ldc.study({"law": [ldc.LQR, int]}), r"^study: design\[0\]\.law: .*; allowed: text, or a list"),
         (
             lambda: ldc.study(ldc.LQR, scenarios=arrays()),

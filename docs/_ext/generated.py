@@ -6,18 +6,23 @@ Each function gives Markdown by file name; `write` puts the files where pages of
 import argparse
 import ast
 import dataclasses
+import importlib
 import inspect
 import math
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from ldctoolkit import Controller, controllers
+import ldctoolkit
+from ldctoolkit import Controller, controllers, testing
 from ldctoolkit.metrics import GROUPS, METRICS, SCENARIO_METRICS
+from ldctoolkit.recordings import departures_table
+from ldctoolkit.scenario_model import json_form
 from ldctoolkit.studies import study_file
 from ldctoolkit.studies.cli import parser
 from ldctoolkit.studies.cli.controllers import _interval
 from ldctoolkit.studies.design_space import DesignBlock, SampleSettings
+from ldctoolkit.studies.storage import manifest
 from ldctoolkit.studies.study_template import study_text
 
 
@@ -79,7 +84,7 @@ def study_keys() -> Iterator[tuple[str, str]]:
             rows.append((code(part + key[1]), code(default) if text else "needed", text or key[2]))
     rows.append(("**`[[design]]`**", "", "designs that are compared; a grid of the values that are set"))
     for model, part in ((DesignBlock, "design."), (SampleSettings, "design.sample.")):
-        rows += [(code(part + name), "", text) for name, text in comments(model).items()]
+        rows += [(code(part + name), "", text) for name, text in comments(model).items() if name[0] != "_"]
     yield "study-keys.md", table(("key", "default", "meaning; allowed"), rows)
 
 
@@ -117,10 +122,43 @@ def laws() -> Iterator[tuple[str, str]]:
         yield f"law-{kind.name}.md", f"`{kind.__name__}`: {kind.title}.\n\n{body}"
 
 
+GUIDES = Path(__file__).parents[1] / "how-to"
+
+
+def names_of_guides() -> list[tuple[str, str]]:
+    """Module and name of what the how-to guides import from modules of the toolkit, or name there."""
+    found = set()
+    for page in GUIDES.glob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        for module, names in re.findall(r"^from (ldctoolkit\.[\w.]+) import (.+)$", text, flags=re.M):
+            found |= {(module, name.strip()) for name in names.split(",")}
+        found |= set(re.findall(r"`(ldctoolkit(?:\.[a-z_]+)+)\.([A-Z]\w+)\b", text))
+    return sorted(found)
+
+
+def promises() -> Iterator[tuple[str, str]]:
+    """What `reference/stability.md` lists: further public modules, and the formats of files with their versions."""
+    modules: dict[str, list[str]] = {"ldctoolkit.testing": list(testing.__all__)}
+    for module, name in names_of_guides():
+        thing = getattr(importlib.import_module(module), name)
+        if thing is not getattr(ldctoolkit, name, None) and name not in modules.setdefault(module, []):
+            modules[module].append(name)
+    rows = ((code(module), ", ".join(map(code, names))) for module, names in modules.items() if names)
+    yield "public-modules.md", table(("module", "public names"), rows)
+    formats = (
+        ("result folder of `ldc run`", "`manifest.json`, `format_version`", (manifest.FORMAT_VERSION,)),
+        ("scenario model of `ldc fit`", "the JSON file, `version`", json_form._READABLE),
+        ("departures table of `ldc extract`", "metadata `ldctoolkit.departures` of the Parquet file, `format_version`",
+         (departures_table.FORMAT_VERSION,)),
+    )  # fmt: skip
+    rows = ((what, where, str(reads[-1]), ", ".join(map(str, reads))) for what, where, reads in formats)
+    yield "formats.md", table(("what", "where its version stands", "written", "read"), rows)
+
+
 def write(folder: Path) -> None:
     """Write what changed."""
     folder.mkdir(exist_ok=True)
-    for part in (commands, study_keys, metrics, laws):
+    for part in (commands, study_keys, metrics, laws, promises):
         for name, text in part():
             path = folder / name
             if not path.is_file() or path.read_text(encoding="utf-8") != text:

@@ -202,7 +202,7 @@ def _column(key: object, names: Sequence[str] | None, d: int) -> int:
             raise InputError("given", "no such column", value=key, allowed=names)
         return list(names).index(key)
     also = "; the columns have no names" if names is None else f", or a name of {', '.join(names)}"
-    raise InputError("given", "is no column", value=key, allowed=f"a number 0 to {d - 1}{also}")
+    raise InputError("given", "is not a column", value=key, allowed=f"a number 0 to {d - 1}{also}")
 
 
 def interval_of(path: str, condition: object) -> tuple[float, float]:

@@ -472,7 +472,7 @@ class BoundedGaussianMixture(CheckedArguments):
         high = check_bound_array(self.upper, "upper", np.inf, dimension)
         check_bounds(low, high)
         if self.names is not None and len(self.names) != dimension:
-            raise InputError("names", f"{len(self.names)} names", allowed=f"{dimension}, one a column")
+            raise InputError("names", f"{len(self.names)} names", allowed=f"{dimension}, one per column")
         return Transform.of(self.transform, low, high, self.names)
 
     def _report(self, line: str) -> None:

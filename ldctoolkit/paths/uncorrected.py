@@ -353,37 +353,32 @@ class UncorrectedPath:
     def highest(self, curve: Curve, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
         """Largest value of a smooth curve over [t_0, t_1], (n,); both (n,) [s], cut off at T.
 
-        It is taken at the samples of recorded signals, or at 16 points for each half wave of the highest mode; then
-        parabolas through three points close in on the peak.
+        It is taken at the samples of recorded signals, or at 16 points for each half wave of the highest mode, and at
+        the peak of the polynomial through five; where the curve is not that smooth, again at points around the highest.
         """
-        out, starts, ends = np.empty(self.n), np.minimum(t_0, self.scenarios.T), np.minimum(t_1, self.scenarios.T)
+        out, starts, ends = np.full(self.n, -np.inf), *np.minimum([t_0, t_1], self.scenarios.T)
         # cells of each path by itself: no number depends on which others stand beside it
         cells = np.maximum(16 * np.maximum(_used(self.modes_y), _used(self.modes_v)), 8) * (self.recorded is None)
         groups = [np.flatnonzero(cells == count) for count in np.unique(cells)]
         for rows in (group[i : i + _BLOCK] for group in groups for i in range(0, group.size, _BLOCK)):
-            path, start, end = self.take(rows), starts[rows, None], ends[rows, None]
-            if path.recorded is not None:
-                t = np.clip(path.recorded.times(np.arange(path.n)), start, end)
-            else:
-                t = start + (end - start) * np.linspace(0.0, 1.0, cells[rows[0]] + 1)
-            f = curve(path, rows, t)
-            vertex, best = f.copy(), f.max(axis=1)
-            if path.recorded is None:  # of the parabolas through a point and its neighbours, or the next two at an end
-                k = np.diff(f, 2, axis=1)[:, [0, *range(f.shape[1] - 2), -1]]
-                s = np.gradient(f, axis=1, edge_order=2)
-                s[:, 0], s[:, -1] = np.maximum(s[:, 0], 0.0), np.minimum(s[:, -1], 0.0)
-                vertex += np.where(np.abs(s) < -k, -0.5 * s**2 / k, 0.0)
-            column, step = np.argmax(vertex, axis=1)[:, None], np.diff(t, axis=1)
-            h = np.take_along_axis(np.maximum(np.c_[step, step[:, -1:]], np.c_[step[:, :1], step]), column, axis=1)
-            middle = np.clip(np.take_along_axis(t, column, axis=1), start + 0.5 * h, end - 0.5 * h)
-            for _ in range(3):
-                left, right = np.maximum(middle - h, start), np.minimum(middle + h, end)
-                f = curve(path, rows, np.concatenate([left, middle, right], axis=1))
-                rise, fall = (f[:, 1:2] - f[:, :1]) / (middle - left), (f[:, 1:2] - f[:, 2:]) / (right - middle)
-                peak = middle + 0.5 * (rise * (right - middle) - fall * (middle - left)) / (rise + fall)
-                middle = np.where(rise + fall > 0.0, np.clip(peak, left, right), middle)
-                best, h = np.maximum(best, f.max(axis=1)), h / 16.0
-            out[rows] = np.maximum(best, curve(path, rows, middle)[:, 0])
+            count, start, end = cells[rows[0]], starts[rows, None], ends[rows, None]
+            for _ in range(16 if self.recorded is None else 3):
+                path = self.take(rows)
+                if path.recorded is not None and not count:
+                    t = np.clip(path.recorded.times(np.arange(path.n)), start, end)
+                    f = curve(path, rows, t)
+                    column, settled = np.argmax(f, axis=1)[:, None], np.zeros(path.n, dtype=np.bool_)
+                else:
+                    t = start + (end - start) * np.linspace(0.0, 1.0, count + 1)
+                    f = curve(path, rows, t)
+                    column, peak, settled = _peak(f)
+                    f = np.c_[f, curve(path, rows, start + (end - start) * (peak / count))]
+                out[rows] = np.maximum(out[rows], f.max(axis=1))
+                if settled.all():
+                    break
+                around = np.clip(column + np.array([-1, 1]), 0, t.shape[1] - 1)
+                start, end = np.take_along_axis(t, around, axis=1)[~settled].T[:, :, None]
+                rows, count = rows[~settled], 8
         return out
 
     def slowest_speed(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
@@ -505,6 +500,32 @@ class DriftPath(UncorrectedPath):
     def deepest(self, t_end: FloatArray) -> FloatArray:
         """Largest y over [0, t_end] [m]; `t_end` (n,) is cut off at T."""
         return self.lateral(np.minimum(t_end, self.scenarios.T))
+
+
+def _peak(f: FloatArray) -> tuple[IntArray, FloatArray, BoolArray]:
+    """Where curves with values f (n, k) at equal distances are highest: the column and, between columns, the peak near
+    it, both (n, 1), and whether the curve is so smooth that its value there is the highest to 1e-12, (n,).
+    """
+    last = f.shape[1] - 1
+    # of the parabolas through a point and its neighbours, or the next two at an end
+    k = np.diff(f, 2, axis=1)[:, [0, *range(last - 1), -1]]
+    s = np.gradient(f, axis=1, edge_order=2)
+    s[:, 0], s[:, -1] = np.maximum(s[:, 0], 0.0), np.minimum(s[:, -1], 0.0)
+    column = np.argmax(f + np.where(np.abs(s) < -0.75 * k, -0.5 * s**2 / k, 0.0), axis=1)[:, None]
+    middle = np.clip(column, 2, last - 2)
+    a, b, c, d, e = (np.take_along_axis(f, middle + j, axis=1) for j in range(-2, 3))
+    first, second = (8.0 * (d - b) - (e - a)) / 12.0, (16.0 * (b + d) - 30.0 * c - (a + e)) / 12.0
+    third, fourth = 0.5 * (e - a) - (d - b), a + e - 4.0 * (b + d) + 6.0 * c
+    low, high, x = np.maximum(column - 1, 0) - middle, np.minimum(column + 1, last) - middle, 1.0 * (column - middle)
+    for _ in range(6):  # Newton's method
+        slope = first + x * (second + x * (0.5 * third + x * fourth / 6.0))
+        bend = second + x * (third + 0.5 * x * fourth)
+        x = np.clip(x - slope / np.minimum(bend, -1e-300), low, high)
+    peak, error = middle + x, np.abs(np.diff(f, 5, axis=1)).max(axis=1, keepdims=True) / 20.0  # of the slope
+    outward = ((peak == 0) & (slope < -error)) | ((peak == last) & (slope > error))
+    wrong = np.where(outward, error, np.abs(slope) + error)
+    settled = wrong**2 <= 2e-12 * np.maximum(np.abs(bend), 1e-12)
+    return column, peak, settled[:, 0]
 
 
 def _mode_count(T: FloatArray, bandwidth: float) -> IntArray:

@@ -388,7 +388,7 @@ def recording_reader(name: str) -> RecordingReader:
     """
     point = entry_points(GROUP).get(name)
     if point is None:
-        raise UnknownNameError("format", "is no reader", value=name, allowed=(AUTO, *reader_names()))
+        raise UnknownNameError("format", "is not a known reader", value=name, allowed=(AUTO, *reader_names()))
     where = f"format {name!r} ({point.value})"
     try:
         reader = point.load()
@@ -519,7 +519,7 @@ class CombinedReader:
                 if reader_of.setdefault(file.sha256, reader.name) != reader.name:
                     raise RecordingError(
                         file.name,
-                        f"several readers know such files ({self.recognise(paths)})",
+                        f"several readers recognise this file ({self.recognise(paths)})",
                         hint="choose one with --format",
                     )
         if not sources:
@@ -576,7 +576,7 @@ def open_recordings(
     """
     sources = [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
     if not sources:
-        raise InputError("paths", "none given", hint="at least one file or folder of recordings is needed")
+        raise InputError("paths", "no file is given", hint="at least one file or folder of recordings is needed")
     seen: set[Path] = set()
     for path in sources:
         if not os.path.exists(path):  # noqa: PTH110 - this one raises nothing, whatever the path
@@ -624,13 +624,13 @@ def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
     if not matches:
         raise RecordingError(
             shown,
-            "no reader knows such files",
-            allowed=f"{', '.join(reader_names())} (named with --format, a reader says what it misses)",
+            "no reader recognises this file",
+            allowed=f"{', '.join(reader_names())} (with --format NAME a reader says what is missing)",
         )
     texts = "; ".join(f"{reader.name}: {text}" for reader, text in matches)
     readers = tuple(reader for reader, _ in matches)
     if len({(reader.vehicle_width, reader.step) for reader in readers}) > 1:
-        raise RecordingError(shown, f"several readers know such files ({texts})", hint="choose one with --format")
+        raise RecordingError(shown, f"several readers recognise this file ({texts})", hint="choose one with --format")
     return CombinedReader(readers), texts
 
 

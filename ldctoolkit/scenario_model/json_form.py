@@ -31,8 +31,7 @@ from ldctoolkit.validation import Part, first_problem
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 5
-_READABLE: Final = (3, 4, VERSION)
-_RETIRED: Final = {"aic", "criterion", "slack", "indifference"}  # keys of version 3 that say nothing of the model
+_READABLE: Final = (4, VERSION)
 
 _HASHED_VERSION: Final = 1  # stands in the hashed content and never changes: studies resume by the hash
 _WHOLE_DIGITS: Final = 18  # longest whole number of a file: it must fit a float and 64 bits
@@ -133,16 +132,10 @@ def parts_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel,
         allowed = f"version {_READABLE[0]} to {VERSION}, which this program reads"
         raise ModelError(f"{file}: version", value=version, allowed=allowed, hint=hint)
     written, content = data.pop(CHECKSUM, None), digest(data)
-    provenance = data.get("provenance")
-    for side in _fitted(provenance):
+    for side in _fitted(data.get("provenance")):
         summary = side.get("source_summary")
         if isinstance(summary, dict) and isinstance(cells := summary.get("cells"), list):
             summary["cells"] = [_shares(text) for text in cells]
-    if version < 4 and isinstance(provenance, dict):
-        settings = provenance.get("settings")
-        for table in (*_fitted(provenance), *([settings] if isinstance(settings, dict) else [])):
-            for key in _RETIRED:
-                table.pop(key, None)
     try:
         # as JSON: lists are tuples there, which strict Python values are not
         parsed = _File.model_validate_json(json.dumps(data))

@@ -323,7 +323,7 @@ class ScenarioModel:
                 share = 1.0 - drawn / (limit * SAMPLE_BLOCK)
                 if given:
                     texts = " and ".join(map(str, given))
-                    raise InputError("given", f"hardly any departure ({_LABEL[side]}) with {texts} can happen")
+                    raise InputError("given", f"departures ({_LABEL[side]}) with {texts} are too unlikely to be drawn")
                 raise ModelError(
                     f"scenario model ({_LABEL[side]})",
                     f"{share:.1%} of the events fall below {SPEED_FLOOR} m/s or are not plausible",

@@ -25,7 +25,7 @@ from ldctoolkit.scenario_model.provenance import RecordedDepartures, SideModel, 
 
 REFITS: Final = 20
 FEWEST: Final = 5  # refits that show how far they differ
-NOT_KEPT: Final = "the model holds no recorded departures (they are kept up to 2,000 a side, from version 5 on)"
+NOT_KEPT: Final = "the model file holds no recorded departures (it keeps up to 2,000 per side, since file version 5)"
 
 _STREAM: Final = 0x72656669
 
@@ -67,7 +67,7 @@ def _smoothed(side: SideModel, events: Events) -> BoundedGaussianMixture:
     """The same kernels with other weights; drawn in towards their mean, which goes where the departures' goes."""
     old, weight = side.mixture, events.weight
     if weight is None or old.n_components != events.rows:
-        raise ModelError("recorded", f"{events.rows} departures", allowed=f"{old.n_components}, one a component")
+        raise ModelError("recorded", f"{events.rows} departures", allowed=f"{old.n_components}, one per component")
     weight, mu = weight / weight.sum(), old.means_
     spread = old.weights_ @ (mu - old.weights_ @ mu) ** 2
     drawn_in = math.sqrt(1.0 + float(np.trace(old.covariances_[0])) / float(spread.sum()))

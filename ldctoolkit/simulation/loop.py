@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
@@ -211,12 +210,6 @@ class Outcome(Frame):
             f"<Outcome of {self.S.size:,} scenarios, {self.window} window: mean S {np.mean(self.S):.4f} m s, "
             f"{np.mean(self.S_uncorrected):.4f} m s without control{''.join(bad)}>"
         )
-
-    @property
-    def companions(self) -> MetricValues:
-        """The former name of `metrics`."""
-        warnings.warn("companions: the name is metrics now", DeprecationWarning, stacklevel=2)
-        return self.metrics
 
     @property
     def deepest(self) -> FloatArray:
@@ -633,9 +626,9 @@ def path_rows(trajectories: PathChoice, n: int, name: str = "trajectories") -> I
         raise InputError(name, value=trajectories, allowed="true, false, or row numbers of scenarios")
     outside = (rows < 0) | (rows >= n)
     if outside.any():
-        raise InputError(name, "is no scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
+        raise InputError(name, "is not the number of a scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
     if np.unique(rows).size != rows.size:
-        raise InputError(name, "a row number is given twice", allowed="each once")
+        raise InputError(name, "a row number is given twice", allowed="each of them once")
     return rows.astype(np.int64)
 
 

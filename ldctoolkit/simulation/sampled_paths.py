@@ -226,5 +226,5 @@ def checked_values(metric: UserMetric, paths: Paths) -> FloatArray:
     array = np.asarray(unmasked(values))
     if array.shape != (paths.n,) or array.dtype.kind not in "fiub":
         given = f"gives {array.dtype} of shape {array.shape}" if array.dtype != object else f"gives {short(values)}"
-        raise LdcError(f"metric {metric.name}", given, allowed=f"numbers of shape ({paths.n},), one a departure")
+        raise LdcError(f"metric {metric.name}", given, allowed=f"numbers of shape ({paths.n},), one per departure")
     return array.astype(np.float64)

@@ -478,7 +478,7 @@ def contract_faults(
 ) -> tuple[Fault, ...]:
     """Every breach of the contract by a controller.
 
-    Raises `InputError` if what is given is no controller, or a check is not known.
+    Raises `InputError` if what is given is not a known control law, or a check is not known.
 
     Parameters
     ----------

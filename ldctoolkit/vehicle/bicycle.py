@@ -26,7 +26,7 @@ from ldctoolkit.declared import (
     warn_of_units,
 )
 from ldctoolkit.errors import CheckedArguments, InputError
-from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
+from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, discretize
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,8 +68,10 @@ class Plant:
 
     @functools.cached_property
     def augmented(self) -> AugmentedStep:
-        """One sample behind the actuator at each speed; computed once."""
-        return augmented(*self.model.matrices(self.v), self.dt, lag=self.lag, delay=self.delay)
+        """One sample behind the actuator at each speed, exact to rounding; computed once."""
+        from ldctoolkit.vehicle.speed_schedule import sampled
+
+        return sampled(self)
 
     @property
     def n(self) -> int:

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import json
 import logging
 import os
 import sys
@@ -11,11 +12,13 @@ from typing import Any, NoReturn
 
 import ldctoolkit.compiling as compiling
 from ldctoolkit.declared import UnitWarning
+from ldctoolkit.deprecation import LdcDeprecationWarning
 from ldctoolkit.errors import LdcError
 from ldctoolkit.surroundings import sweep
 from ldctoolkit.version import __version__
 
-from . import _console, assess, controllers, export, extract, fit, identify, init, rank, report, review, risk, run
+from . import assess, controllers, doctor, export, extract, fit, identify, init, rank, report, review, risk, run
+from ._console import moving_line
 
 
 class _Parser(argparse.ArgumentParser):
@@ -31,9 +34,11 @@ def parser() -> argparse.ArgumentParser:
         description="Compare lane departure correction designs on realistic, generated lane departures.",
         epilog="Driving recordings -> ldc extract -> ldc fit -> ldc run -> ranking and report.",
     )
-    top.add_argument("--version", action="version", version=f"ldc {__version__}")
-    commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in (extract, fit, identify, review, assess, init, run, rank, risk, report, export, controllers):
+    top.add_argument("--version", action="store_true", help="show the version and exit")
+    about = "with --version: versions of packages, machine and threads, which a ranking depends on"
+    top.add_argument("--json", action="store_true", dest="json_version", help=about)
+    commands = top.add_subparsers(title="commands", metavar="COMMAND")
+    for command in (extract, fit, identify, review, assess, init, run, rank, risk, report, export, controllers, doctor):
         command.add_parser(commands)
     return top
 
@@ -45,9 +50,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with contextlib.suppress(AttributeError):  # a stream that is no file
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
-        with _warnings_on_stderr(), compiling.shown_by(_console.moving_line):
-            args = parser().parse_args(arguments)
-            code: int = args.run(args) or 0
+        with _warnings_on_stderr(), compiling.shown_by(moving_line):
+            args = (top := parser()).parse_args(arguments)
+            if args.version:
+                print(json.dumps(doctor.environment(), indent=1) if args.json_version else f"ldc {__version__}")
+            elif "run" not in args or args.json_version:
+                top.error(f"the following arguments are required: {'--version' if args.json_version else 'COMMAND'}")
+            code: int = 0 if args.version else args.run(args) or 0
         sys.stdout.flush()
     except (LdcError, MemoryError) as error:
         print(f"ldc: error: {error or 'not enough memory'}", file=sys.stderr)
@@ -75,7 +84,7 @@ def _warnings_on_stderr() -> Iterator[None]:
     shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *location: Any, **other: Any) -> None:
-        if not issubclass(category, UnitWarning):
+        if not issubclass(category, (UnitWarning, LdcDeprecationWarning)):
             usual(message, category, *location, **other)
         elif str(message) not in shown:
             shown.add(str(message))
@@ -84,7 +93,8 @@ def _warnings_on_stderr() -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             usual, warnings.showwarning = warnings.showwarning, show
-            warnings.simplefilter("always", UnitWarning)
+            for kind in (UnitWarning, LdcDeprecationWarning):
+                warnings.simplefilter("always", kind)
             yield
     finally:
         log.handlers[:], log.propagate = before

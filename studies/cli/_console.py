@@ -85,7 +85,8 @@ def print_table(table: Table, out: Console | None = None, *, narrow: bool = Fals
             box=box.HEAVY_HEAD if ruled else None, padding=(0, 1) if ruled else (0, 1, 0, 0),
         )  # fmt: skip
         for j in shown:
-            grid.add_column(Text(heads[j]), justify="left" if table.columns[j].text else "right", width=widths[j])
+            justify: Any = "left" if table.columns[j].text else "right"
+            grid.add_column(Text(heads[j]), justify=justify, width=widths[j], overflow="fold")
         for row, texts in zip(table.rows, rows, strict=True):
             if row.apart:
                 grid.add_section()
@@ -229,7 +230,7 @@ def plausibility(limits: Sequence[tuple[str, float]] | None, default: Plausibili
     names = [field.name for field in dataclasses.fields(Plausibility)]
     for name, _ in limits or ():
         if name not in names:
-            raise InputError("--limit", "is no limit", value=name, allowed=names)
+            raise InputError("--limit", "is not a limit that a review checks", value=name, allowed=names)
     return dataclasses.replace(default or Plausibility(), **dict(limits or ()))
 
 
@@ -238,7 +239,7 @@ def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:
     names = [name for name, _ in pairs or ()]
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"{option} {name}", f"given {names.count(name)} times", allowed="once a name")
+            raise InputError(f"{option} {name}", f"given {names.count(name)} times", allowed="each name once")
 
 
 def law_with_gains(name: str, gains: Sequence[tuple[str, str]] | None) -> Controller:

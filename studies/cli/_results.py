@@ -224,6 +224,7 @@ def _summary(judged: Judged) -> dict[str, Any]:
         "winner": None if ranking.winner is None else _design_json(ranking, ranking.winner),
         "set_of_best": [ranking.designs[i].id for i in range(len(ranking)) if ranking.inference.set_of_best[i]],
         "verdict": judgement.title,
+        "sentences": list(judgement.sentences),
         "usable": judgement.usable,
         "lights": {light.name: light.state for light in judgement.lights},
         "binding": [limit.requirement.text for limit in judgement.binding],
@@ -247,6 +248,7 @@ def _design_json(ranking: Ranking, i: int) -> dict[str, Any]:
         "y_s_m": design.y_s,
         "gains": dict(design.gains),
         **{f"{name}_m_s": _number(value) for name, value in scores.items()},
+        "needless_share": _number(ranking.needless(i)),
         "recordings": recordings | {"from": ranking.recordings.text, "refits": ranking.recordings.refits},
         "limits": [
             {

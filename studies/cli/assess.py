@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     tests = [load_standard(name) for name in dict.fromkeys(args.standard or standard_names())]
     subjects = [assessment for text in args.designs for assessment in _subjects(text, args)]
     if not subjects:
-        raise InputError(" ".join(args.designs), "no design that intervenes", allowed="one or more")
+        raise InputError(" ".join(args.designs), "holds no design that intervenes", allowed="one or more")
     if args.output is not None:
         output_folder(Path(args.output))
     assessments: list[tuple[str, Assessment]] = []
@@ -102,12 +102,12 @@ def _subjects(text: str, args: argparse.Namespace) -> Iterator[Subject]:
         yield Design.of(controller, y_s).label, controller, y_s, load_study(args.plant).setup()
         return
     if args.gain or args.y_s is not None:
-        raise InputError("--gain, --y-s", "go with the name of a law", hint=f"{text} has its own designs")
+        raise InputError("--gain, --y-s", "need the name of a law", hint=f"{text} has its own designs")
     from ._results import is_folder, study_of
 
     if not (is_folder(text) or text in catalog_names() or text.endswith(".toml")):
         names = (*controller_names(), *catalog_names())
-        raise UnknownNameError("design", "is neither a law, nor a study, nor a folder", value=text, allowed=names)
+        raise UnknownNameError("design", "is neither a law, a study nor a folder", value=text, allowed=names)
     study, designs, _ = study_of(text, args.only)
     for design in designs:
         if not design.is_baseline:

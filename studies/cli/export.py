@@ -22,7 +22,7 @@ def add_parser(commands: Subparsers) -> None:
     """Declare the command."""
     parser = commands.add_parser(
         "export",
-        help="write a design as C code and prove it in the closed loop",
+        help="write a design as C code and check it in the closed loop",
         description="Write a design as C99 code with a test bench, compile it, and drive at least 1,000 scenarios of "
         "its study with it: commands and S must be the toolkit's. Exit code 3 where they are not, 4 where there is no "
         "C compiler.",
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     controller, out = design.controller(setup.convention), console()
     if args.verify:
         if not (folder / "ldc_controller.h").is_file():
-            raise InputError(folder, "holds no export", allowed="a folder that ldc export wrote")
+            raise InputError(folder, "is not the folder of an export", allowed="a folder that ldc export wrote")
         changed = changed_files(folder)
         stale = not changed and is_stale(Code.of(controller, setup, design.y_s, origin), folder)
         text = "stale: not what this study and this version give" if stale else "up to date"

@@ -28,8 +28,8 @@ def add_parser(commands: _console.Subparsers) -> None:
         help="find lane departures in driving recordings",
         description="Find the lane departures in driving recordings (plain tables, MDF logs, SPMD, UAH-DriveSet, or "
         "what an installed reader knows) and write one row each: the eight parameters, side, recording, start time. "
-        "Every refused candidate is counted by reason. Running it again after it was stopped goes on with what is "
-        "missing. Exit code 3: done, but some of the input could not be used; it is named.",
+        "Every refused candidate is counted by reason. After an interruption, the same command continues with what is "
+        "missing. Exit code 3: done, but some of the input, which is named, could not be used.",
     )
     parser.add_argument("paths", nargs="+", metavar="PATH", help="files or folders of one format")
     parser.add_argument(
@@ -58,14 +58,14 @@ def add_parser(commands: _console.Subparsers) -> None:
     )  # fmt: skip
     for name, unit, default, text in options:
         parser.add_argument(f"--{name}", type=_console.number, metavar=unit, default=default, help=text)
-    about = "count departures and hours while a system steers, too"
+    about = "also count departures and hours while an assistance system steers"
     parser.add_argument("--keep-engaged", action="store_true", help=about)
-    about = "go on where a unit, a sign or a reference cannot be right"
+    about = "continue although a unit, a sign or a reference cannot be right"
     parser.add_argument("--force", action="store_true", help=about)
     _console.add_limit(parser)
     about = "keep y, v and curvature over time in a second table, NAME.signals.parquet, to replay the recorded path"
     parser.add_argument("--signals", action="store_true", help=about)
-    about = "processes (default: all cores, or 1 for little)"
+    about = "processes (default: all cores, or 1 for small inputs)"
     parser.add_argument("--workers", type=_console.positive_number, metavar="N", help=about)
     about = "run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local"
     parser.add_argument("--dask", metavar="ADDRESS", help=about)
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         print("\n".join(map(list_channels, map(Path, args.paths))))
         return 0
     if args.output is None:
-        raise InputError("-o", "not given", allowed="-o FILE.parquet, the departures table to write")
+        raise InputError("-o", "is missing", allowed="-o FILE.parquet, the departures table to write")
     from ldctoolkit.recordings.find_departures import Criteria
     from ldctoolkit.recordings.preparation import Preparation
     from ldctoolkit.recordings.recording import open_recordings

@@ -24,12 +24,12 @@ def add_parser(commands: _console.Subparsers) -> None:
     parser = commands.add_parser(
         "fit",
         help="fit a scenario model to departures",
-        description="Fit one bounded Gaussian mixture a side to a departures table. Of a range of K (numbers of "
+        description="Fit one bounded Gaussian mixture per side to a departures table. Of a range of K (numbers of "
         "components) the smallest is taken whose BIC is nearly as good as the best. A page that shows how well the "
         "model fits is written beside it.",
     )
     add = parser.add_argument
-    add("departures", nargs="+", metavar="DEPARTURES.parquet", help="what ldc extract wrote, by the same criteria")
+    add("departures", nargs="+", metavar="DEPARTURES.parquet", help="tables of ldc extract, all by the same criteria")
     add("-o", "--output", required=True, metavar="MODEL.json", help="scenario model to write")
     add(
         "--components", type=components, metavar="K",
@@ -51,13 +51,15 @@ def add_parser(commands: _console.Subparsers) -> None:
         "(default: none)",
     )  # fmt: skip
     _console.add_limit(parser)
-    add(
-        "--prior-strength", type=_console.number, default=10.0, metavar="X", help="pseudo-events (default: %(default)s)"
-    )
-    add("--tol", type=_console.number, default=1e-7, metavar="X", help="nats an event and pass (default: %(default)s)")
-    add("--n-init", type=_console.positive_number, metavar="N", help="starts (default: 8; 2 up to 2,000 departures)")
+    about = "strength of the prior, in pseudo-events (default: %(default)s)"
+    add("--prior-strength", type=_console.number, default=10.0, metavar="X", help=about)
+    about = "tolerance, in nats per event and pass (default: %(default)s)"
+    add("--tol", type=_console.number, default=1e-7, metavar="X", help=about)
+    about = "starts of the fit (default: 8; 2 for up to 2,000 departures)"
+    add("--n-init", type=_console.positive_number, metavar="N", help=about)
     add("--seed", type=_console.whole_number, default=0, metavar="N", help="random seed (default: 0)")
-    add("--workers", type=_console.positive_number, metavar="N", help="cores to use (default: all); changes no number")
+    about = "cores to use (default: all); results do not depend on it"
+    add("--workers", type=_console.positive_number, metavar="N", help=about)
     add(
         "--page", action=argparse.BooleanOptionalAction, default=True,
         help="write MODEL.html, which shows how well the model fits (default: yes)",
@@ -196,7 +198,7 @@ def _add_sample(commands: _console.Subparsers) -> None:
     )
     parser.add_argument("model", metavar="MODEL", help="bundled model or JSON file")
     parser.add_argument(
-        "-n", type=_console.whole_number, metavar="N", help="departures in all, half of them to each side"
+        "-n", type=_console.whole_number, metavar="N", help="number of departures, half of them to each side"
     )
     parser.add_argument("--left", type=_console.whole_number, metavar="N", help="departures to the left")
     parser.add_argument("--right", type=_console.whole_number, metavar="N", help="departures to the right")
@@ -239,9 +241,9 @@ def _numbers(args: argparse.Namespace) -> tuple[int, int]:
     elif args.left is None and args.right is None:
         left, right = (args.n + 1) // 2, args.n // 2
     else:
-        raise InputError("-n", "goes with neither --left nor --right")
+        raise InputError("-n", "cannot be combined with --left or --right")
     if max(left, right) > _MOST:
         raise InputError("departures to one side", value=max(left, right), allowed=f"up to {_MOST}")
     if left + right == 0:
-        raise InputError("-n", "no departures requested", hint="give -n, or --left and --right")
+        raise InputError("-n", "the number of departures is missing", hint="give -n, or --left and --right")
     return left, right

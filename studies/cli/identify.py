@@ -29,7 +29,7 @@ def add_parser(commands: _console.Subparsers) -> None:
     )
     add = parser.add_argument
     add("paths", nargs="+", metavar="LOG", help="files or folders of one format")
-    add("--format", default="auto", metavar="NAME", help="as of ldc extract (default: auto)")
+    add("--format", default="auto", metavar="NAME", help="format, as in ldc extract (default: auto)")
     add("--channels", metavar="MAP.toml", help="channel map of MDF logs: which channel holds what")
     about = (
         "study (name in the catalog or TOML file) whose m, l_f and l_r are taken: needed for stiffnesses and inertia"
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
 
     target = None if args.toml is None else _console.output_file(args.toml, ".toml", option="--toml")
     if target is not None and target.exists():
-        raise InputError(f"--toml {target}", "exists", allowed="a new file")
+        raise InputError(f"--toml {target}", "exists already", allowed="a new file")
     vehicle = None if args.vehicle is None else load_study(args.vehicle).vehicle
     with _console.progress_bar("identifying"):
         source = open_recordings(args.paths, format=args.format, channels=args.channels, lane=False).source

@@ -25,7 +25,7 @@ def add_parser(commands: Subparsers) -> None:
     """Declare the command."""
     parser = commands.add_parser(
         "init",
-        help="write a commented study file to change and run",
+        help="write a study file with comments, to change and run",
         description="Write a study file in which every key has a comment: meaning, unit, default, allowed values. It "
         "is a study of the catalog, or one of the laws given; options replace what the study has.",
     )
@@ -35,14 +35,14 @@ def add_parser(commands: Subparsers) -> None:
     add("--y-s", nargs="+", type=number, metavar="M", help="trigger thresholds in m (with --law: 0.2)")
     add("--model", metavar="MODEL", help="scenario model: a name or a JSON file")
     add("--departures", metavar="FILE.parquet", help="rank on these; with --model, score the finalists on them too")
-    add("-n", type=positive_number, metavar="N", help="departures in all, half of them to each side")
-    add("--require", action="append", metavar="TEXT", help="requirement, as 'a_y_peak_p95 <= 3.0'; repeatable")
+    add("-n", type=positive_number, metavar="N", help="number of departures, half of them to each side")
+    add("--require", action="append", metavar="TEXT", help="requirement, for example 'a_y_peak_p95 <= 3.0'; repeatable")
     add("--plant", metavar="STUDY", help="study of the catalog whose plant is taken; ideal: the ideal plant")
     about = "take the vehicle from a data sheet: keys as the arguments of VehicleParameters.from_data_sheet"
     add("--data-sheet", metavar="FILE.toml", help=about)
     add("--name", metavar="NAME", help="name of the study (default: that of the file)")
     add("-o", "--output", metavar="FILE.toml", help="study file to write (default: NAME.toml)")
-    add("--force", action="store_true", help="replace a file that is there")
+    add("--force", action="store_true", help="replace an existing file")
     parser.set_defaults(run=run)
 
 
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> None:
     name = args.name or (Path(args.output).stem if args.output else args.study or "my-study")
     target = output_file(args.output or f"{name}.toml", ".toml", option="-o" if args.output else "--name")
     if target.exists() and not args.force:
-        raise InputError(target, "exists", allowed="another -o, or --force to replace it")
+        raise InputError(target, "exists already", allowed="another -o, or --force to replace it")
     content = _content(args, target)
     car = content["vehicle"].get("model", "").partition(":")[0]
     if car and not target.with_name(car).exists():  # the catalog's own vehicle, to be edited

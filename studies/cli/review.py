@@ -65,16 +65,16 @@ def subjects(args: argparse.Namespace) -> list[Subject]:
 
     if args.design in controller_names():
         if args.only:
-            raise InputError("--design", "goes with a study", hint="a law's gains are given with --gain")
+            raise InputError("--design", "needs a study", hint="a law's gains are given with --gain")
         return [_law_subject(args)]
     if os.path.isfile(f"{args.design}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         return list(_of_folder(args))
     known = args.design in catalog_names() or args.design.endswith(".toml")
     if not known and not os.path.isfile(args.design):  # noqa: PTH113
         names = (*controller_names(), *catalog_names())
-        raise UnknownNameError("design", "is neither a law, nor a study", value=args.design, allowed=names)
+        raise UnknownNameError("design", "is neither a law nor a study", value=args.design, allowed=names)
     if args.gain:
-        raise InputError("--gain", "goes with the name of a law", hint="a study has its own gains")
+        raise InputError("--gain", "needs the name of a law", hint="a study has its own gains")
     study = load_study(args.design)
     designs = study.designs if args.only is None else named_designs(study.designs, [args.only])
     return list(_study_subjects(study, designs, args))
@@ -314,7 +314,7 @@ def run(args: argparse.Namespace) -> int:
     designs = subjects(args)
     if drawing is not None:
         if len(designs) > 1:
-            raise InputError("--plan", f"of {len(designs)} designs", allowed="one", hint="choose it with --design")
+            raise InputError("--plan", f"{len(designs)} designs to draw", allowed="one", hint="choose it with --design")
         write_text(drawing, _plan(designs[0]))
     reviewed: Reviewed = []
     with progress_bar("reviewing") as advance:

@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> None:
     source = study_source(study, args.model or model)
     if not isinstance(source, ScenarioModel):
         raise InputError(
-            f"study {study.name}", "recorded departures, which have no tail beyond them", hint="give --model"
+            f"study {study.name}", "replays recorded departures: none is rarer than those", hint="give --model"
         )
     out = _console.console()
     risk = estimate_risk(

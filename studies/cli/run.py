@@ -55,7 +55,7 @@ def add_parser(commands: Subparsers) -> None:
 _NEXT: Final = """STUDY is missing: a name in the catalog, or a TOML file
   in the catalog: {}
   ldc run trigger-and-gains                runs one of them
-  ldc init trigger-and-gains -o my.toml    writes it to a file, a comment at every key
+  ldc init trigger-and-gains -o my.toml    writes it to a file, with a comment at every key
   ldc run my.toml                          runs that file"""
 
 SOME_FAILED = 3  # exit code where the study has results, but not of every design

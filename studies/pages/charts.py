@@ -25,6 +25,9 @@ WIDTH: Final = 420.0  # units of a chart's width: text of 12 units is 10 px high
 COLORS: Final = ("#0072b2", "#d55e00", "#009e73", "#b5548f", "#b07900", "#3b8fc2")
 """Okabe and Ito's colours, the light ones darkened until they stand out from white."""
 
+LEFT_IS_BETTER: Final = ": \u2190 better, worse \u2192"
+"""End of the label of an axis of S, or of a difference of S."""
+
 _DASHES: Final = ("", "7 3", "2 2.5", "9 3 2 3", "5 2 5 6")
 _MARKERS: Final = "osdvx^"
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 10.0, 10.0, 44.0
@@ -292,7 +295,7 @@ class _Frame:
         self.depth = height - top - _BOTTOM
         if left is None:
             longest = max((len(text) for _, text in y.ticks(1.4 * self.depth)), default=0)
-            left = max(_LEFT, 28.0 + _CHARACTER * longest)
+            left = max(_LEFT, 34.0 + _CHARACTER * longest)
         self.x, self.y, self.left, self.top = x, y, left, top
         self.width, self.height = WIDTH - left - _RIGHT, height
         self.bottom, self.right = top + self.depth, WIDTH - _RIGHT
@@ -332,7 +335,8 @@ class _Frame:
             self.parts.insert(0, f'<path class="grid" d="{grid}"/>')
         self.draw("axis", f"M{self.left:g} {self.top:g}V{self.bottom:g}H{self.right:g}")
         if self.x.label:
-            self.text(self.left + 0.5 * self.width, self.bottom + 34, self.x.label, kind="soft")
+            middle = min(self.left + 0.5 * self.width, WIDTH - 0.5 * _CHARACTER * len(self.x.label))
+            self.text(middle, self.bottom + 34, self.x.label, kind="soft")
         if self.y.label:
             self.parts.append(
                 f'<text class="soft" transform="translate(13 {self.top + 0.5 * self.depth:g}) rotate(-90)" '
@@ -420,7 +424,7 @@ def _positions(frame: _Frame, series: Series) -> Iterator[tuple[float, float, bo
 def _intervals(chart: Chart) -> _Frame:
     """Values with intervals, the rows from the top."""
     depth = max(sum(_ROW * len(row) + _BETWEEN_ROWS for row in chart.rows), 60.0)
-    labels = [shorten(row[0].label, 34) for row in chart.rows]
+    labels = [shorten(row[0].label, 37) for row in chart.rows]
     left = min(30.0 + _CHARACTER * max(map(len, labels), default=0), 0.55 * WIDTH)
     height = depth + _BOTTOM + _ROWS_TOP
     frame = _Frame(chart.x, Axis("", 0.0, 1.0, categories=("",)), height, left=left, top=_ROWS_TOP)

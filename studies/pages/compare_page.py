@@ -16,7 +16,7 @@ from ..comparison.paired import THRESHOLD, Verdict
 from ..storage.folder_files import write_text
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import difference_text, percent, plural, symbols
-from .charts import Axis, Chart, Dot, Series, Style, dots
+from .charts import LEFT_IS_BETTER, Axis, Chart, Dot, Series, Style, dots
 from .shell import Section, bullets, details, figure, make_page, pairs, paragraphs, render
 
 FIRST_ROWS: Final = 20
@@ -133,8 +133,8 @@ def _changes_section(comparison: Comparison) -> Section:
     charts = list(_difference_charts(comparison))
     body = figure(
         charts,
-        "Left: the largest differences of mean S, new minus old, with their intervals. Right: mean S in the old study "
-        "against that in the new one; on the line nothing changed.",
+        "First chart: the largest differences of mean S, new minus old, with their intervals. Second chart: mean S in "
+        "the old study against that in the new one; on the line nothing changed, below it the new one is better.",
     )
     return Section("changes", "Largest changes", body or paragraphs("No design is in both studies."), tuple(charts))
 
@@ -150,8 +150,10 @@ def _difference_charts(comparison: Comparison) -> Iterator[Chart]:
         for i in order[np.argsort(S.difference[order], kind="stable")].tolist():
             difference, low, high = (float(values[i]) for values in (S.difference, S.low, S.high))
             rows.append([Dot(comparison.designs[i].label, difference, low, high, _STYLES[S.verdict[i]])])
-        axis = Axis.around("New \u2212 old mean S [m\u00b7s]", S.difference[order], S.low[order], S.high[order], [0.0])
-        yield dots("changes", f"{label}: differences of mean S", rows, axis, upright=(0.0, "no change"))
+        ends = S.difference[order], S.low[order], S.high[order], [0.0]
+        axis = Axis.around(f"New \u2212 old mean S [m\u00b7s]{LEFT_IS_BETTER}", *ends)
+        title = f"{label}: differences of mean S, better to the left"
+        yield dots("changes", title, rows, axis, upright=(0.0, "no change"))
     clouds = []
     for verdict, style in _STYLES.items():
         rows_of_verdict = np.array([i for i in range(len(comparison)) if S.verdict[i] is verdict], dtype=np.int64)

@@ -12,7 +12,7 @@ from ..ranking.ranking import Ranking
 from ..ranking.verdict import design_name, optimism_text, recordings_text
 from ..tables import Cell, Column, Row, Table, to_html
 from ..text import DASH, difference_text, percent, plural
-from .charts import Axis, Chart, Dot, Series, Style, dots
+from .charts import LEFT_IS_BETTER, Axis, Chart, Dot, Series, Style, dots
 from .context import Context
 from .shell import Section, figure, paragraphs
 
@@ -25,13 +25,13 @@ def section(context: Context) -> Section:
     body = paragraphs(*_confidence_sentences(context))
     body += figure(
         charts,
-        f"Left: mean S with its {percent(context.ranking.confidence, 0)} interval, for all designs at once"
-        f"{'; open: on the fresh scenarios' if context.ranking.fresh.scenarios else ''}. Right: mean S over the first "
-        "scenarios, with 1.96 standard errors of each point.",
+        f"First chart: rank, design, and mean S with its {percent(context.ranking.confidence, 0)} interval, for all "
+        f"designs at once{'; open: on the fresh scenarios' if context.ranking.fresh.scenarios else ''}. Second "
+        "chart: mean S over the first scenarios, with a band of 1.96 standard errors.",
     )
     if context.ranking.fresh.scenarios:
         body += to_html(_finalists(context.ranking))
-    return Section("confidence", "Confidence", body, charts)
+    return Section("confidence", "Confidence", body, charts, printed=True)
 
 
 def _confidence_sentences(context: Context) -> Iterator[str]:
@@ -60,7 +60,7 @@ def _confidence_sentences(context: Context) -> Iterator[str]:
         half = 0.5 * (high - low)
         needed = context.scenarios.n * (half / away) ** 2
         about = f"about {_two_digits(needed):,}" if needed < 1e7 else "more than ten million"
-        yield f"If the difference seen is the true one, {about} scenarios separate them with even chances."
+        yield f"If this difference is the true one, {about} scenarios separate the two with a probability of 50 %."
     rival_law = next((i for i in rivals if ranking.designs[i].law != ranking.designs[0].law), second)
     if rival_law != second:
         apart = "not separated from" if inference.set_of_best[rival_law] else "separated from"
@@ -83,7 +83,7 @@ def _interval_charts(context: Context) -> Iterator[Chart]:
     shown = list(dict.fromkeys((context.shown, *range(min(6, len(ranking))), *context.best_of_each_law)))[:MOST]
     rows = []
     for i in sorted(shown):
-        name, style = design_name(ranking.designs[i]), context.style(i)
+        name, style = f"{int(ranking.rank[i]) or DASH}: {design_name(ranking.designs[i])}", context.style(i)
         S, low, high = (float(v[i]) for v in (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high))
         dots_of_row = [Dot(name, S, low, high, style)]
         if math.isfinite(ranking.fresh.S[i]):
@@ -93,7 +93,8 @@ def _interval_charts(context: Context) -> Iterator[Chart]:
     ends = [value for row in rows for dot in row for value in (dot.value, dot.low, dot.high)]
     level = float(ranking.metrics.S_uncorrected[context.shown])
     near = [level] if level < 2.0 * max((v for v in ends if math.isfinite(v)), default=0.0) else []
-    yield dots("intervals", "Mean S with intervals", rows, Axis.around("Mean S [m\u00b7s]", ends, near),
+    yield dots("intervals", "Mean S with intervals, better to the left", rows,
+               Axis.around(f"Mean S [m\u00b7s]{LEFT_IS_BETTER}", ends, near),
                upright=(level, "no control") if near else None)  # fmt: skip
     if context.scenarios.n > 2:
         shown = sorted(dict.fromkeys((context.shown, *context.best_of_each_law[:3])))
@@ -159,7 +160,7 @@ def _finalists(ranking: Ranking) -> Table:
         unmet = ", ".join(ranking.fresh.unmet[i])
         cells = [
             int(ranking.rank[i]) or DASH, design_name(ranking.designs[i]), S, fresh, (low, high), to_first,
-            Cell(unmet or "nothing", bad=bool(unmet)),
+            Cell(unmet or "none", bad=bool(unmet)),
         ]  # fmt: skip
         if ranking.replayed.departures:
             cells += [replayed[0], (replayed[1], replayed[2]), replayed[3]]

@@ -169,8 +169,8 @@ class Context:
         if self.report.model is None:
             return "Intervals hold for the departures that these scenarios were drawn from, not for other traffic."
         return (
-            "Intervals say how well these scenarios represent the scenario model; how well the model represents "
-            "traffic is not in them."
+            "Intervals cover the random draw of scenarios from the scenario model. They do not cover how well the "
+            "model represents traffic."
         )
 
     def scenario_text(self) -> str:

@@ -42,15 +42,15 @@ def section(context: Context) -> Section:
         data = _data(context, replayed, every)
         if replayed.mismatch > 1e-3:
             note = (
-                f"Paths were driven again for this page and differ from the stored scores by up to "
+                f"Paths were simulated again for this page. Their scores differ from the stored ones by up to "
                 f"{percent(replayed.mismatch)}: the results are of another version or machine."
             )
     body = render("explorer.html", explorer=data is not None, note=note)
     entries = [("No control", RECORDED), *((law_title(context.ranking.designs[i]), context.style(i)) for i in shown)]
     body += Markup("<h3>Distributions</h3>") + figure(
         charts,
-        "Share of departures, or of interventions for what control adds, with less than the value. A dash-dotted line "
-        "is a limit of ISO 11270 or Euro NCAP. An axis ends before a few far values.",
+        "Share of departures (for added a_y and jerk, of interventions) below the value on the axis. A dash-dotted "
+        "line is a limit of ISO 11270 or Euro NCAP. Axes leave out a few far values.",
         legend(entries),
     )
     return Section("departures", "Departures", body, charts, data, ("explorer.js",) if data else ())
@@ -190,7 +190,8 @@ def _distributions(context: Context) -> Iterator[Chart]:
         recorded = context.S_uncorrected(context.shown)[rows]
         samples: list[tuple[str, FloatArray, Style]] = [("No control", recorded, RECORDED)]
         samples += [(law_title(ranking.designs[i]), context.S(i)[rows], context.style(i)) for i in shown]
-        yield _distribution_chart(f"S-{name}", f"S, {name} departures", samples, "S [m\u00b7s]", "Share of departures")
+        label = f"S, departures to the {name} [m\u00b7s], less is better"
+        yield _distribution_chart(f"S-{name}", f"S of departures to the {name}", samples, label, "Share of departures")
     for name, title, label, limit in (
         ("deepest", "Deepest crossing", "Edge beyond the line [m]", None),
         ("dtle", "Distance to the lane edge", "Front axle beyond the line [m]", (-DTLE_LIMIT, "Euro NCAP")),

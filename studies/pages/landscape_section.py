@@ -75,8 +75,8 @@ def section(context: Context) -> Section:
             left_out.append(ranking.designs[position].kind.title)
     body = figure(
         charts,
-        "Mean S in m\u00b7s over what was swept. Every cell is the best design of the others\u2019 values; the frame "
-        "marks the best design of the law, a cross cells in which no design meets the requirements.",
+        "Mean S in m\u00b7s over what was swept. A cell shows the best design with these two values, over all other "
+        "gains. The frame marks the best design of the law, a cross a cell in which no design meets the requirements.",
     )
     if not charts:
         body += paragraphs("No law has designs that differ in a number: there is no landscape to show.")

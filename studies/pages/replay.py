@@ -49,7 +49,7 @@ def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, 
         if not matching.size:
             near = int(scenarios.index[np.argmin(np.abs(scenarios.index - number))])
             raise InputError(
-                "departure", value=number, hint=f"no departure that can be driven has it; the nearest is {near}"
+                "departure", value=number, hint=f"no departure with this number can be simulated; the nearest is {near}"
             )
         rows.append(int(matching[0]))
     return tuple(dict.fromkeys(rows))

@@ -145,6 +145,8 @@ def report_input(
     timed = [ranking.designs[i] for i in sorted({*listed_positions(ranking, 3), *ranking.best_of_each_law()})]
     warnings = "; ".join(manifest.model_warnings)
     fit_warnings = (f"Of the scenario model: {warnings}.",) if warnings else ()
+    others = manifest.other_versions()
+    old = (f"This study was run with {others}; paths that are driven for this page may differ.",) if others else ()
     return ReportInput(
         title=study.title or study.name,
         study_name=study.name,
@@ -154,7 +156,7 @@ def report_input(
         settings=tuple(_study_settings(study, manifest)),
         versions=tuple(_versions(manifest)),
         model_notes=manifest.model_notes,
-        warnings=tuple(dict.fromkeys((*fit_warnings, *ranking.warnings))),
+        warnings=tuple(dict.fromkeys((*old, *fit_warnings, *ranking.warnings))),
         synthetic=manifest.model_synthetic,
         command=manifest.command,
         sensitivity=sensitivity(results, study),
@@ -183,7 +185,7 @@ def _study_settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str
     yield from simulation_settings(study.setup())
     yield "plant", "ideal" if study.plant.ideal else "not ideal"
     yield from ((f"plant.{key}", value) for key, value in plant_settings(study.plant))
-    units = {"C_af": "N/rad", "C_ar": "N/rad", "m": "kg", "I_z": "kg m^2"}
+    units = {"C_af": "N/rad", "C_ar": "N/rad", "m": "kg", "I_z": "kg m^2", "steering_ratio": "(hand to road wheels)"}
     for field in dataclasses.fields(study.vehicle):
         yield f"vehicle {field.name}", f"{getattr(study.vehicle, field.name):g} {units.get(field.name, 'm')}"
     yield "deep departures, D_y", f"{study.report.D_y:g} m"

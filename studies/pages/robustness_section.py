@@ -12,7 +12,7 @@ from ..ranking.verdict import design_name, law_title
 from ..robustness import CONFIDENCE, LEAVES, Robustness
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import percent, plural
-from .charts import Axis, Chart, Dot, Series, dots, legend
+from .charts import LEFT_IS_BETTER, Axis, Chart, Dot, Series, dots, legend
 from .context import Context
 from .shell import Section, bullets, details, figure, paragraphs
 
@@ -40,8 +40,8 @@ def section(context: Context) -> Section:
             "Margins of the loop over speed",
             figure(
                 charts,
-                "On the study\u2019s plant, without its limits of rate and angle; 0: the loop is unstable. "
-                "Dashed: what stable asks for. Gain margins above 20 are drawn at 20.",
+                "On the study\u2019s plant, without its limits of rate and angle. At 0 the loop is unstable. "
+                "Dashed: the least that the set stable requires. Gain margins above 20 are drawn at 20.",
             ),
         )
     return Section("robustness", "Other plants", body, charts)
@@ -165,9 +165,10 @@ def driver_section(context: Context) -> Section | None:
          for i, law, style in looks]
         for who, p in plants.items() if who != LEAVES
     ]  # fmt: skip
-    x = Axis.around("Difference of mean S [m\u00b7s]", [(dot.low, dot.high, 0.0) for row in rows for dot in row])
+    ends = [(dot.low, dot.high, 0.0) for row in rows for dot in row]
+    x = Axis.around(f"Difference of mean S [m\u00b7s]{LEFT_IS_BETTER}", ends)
     title = f"Mean S minus that of {context.shown_name} with each kind of driver"
-    chart = dots("drivers", title, rows, x, upright=(0.0, context.shown_name))
+    chart = dots("drivers", f"{title}, better to the left", rows, x, upright=(0.0, context.shown_name))
     body = paragraphs(*_of_drivers(context, robustness, shown, places))
     body += to_html(_drivers_table(context, robustness, shown, places, plants))
     caption = f"{title}, with intervals; to the right a design is worse. Without {LEAVES}."

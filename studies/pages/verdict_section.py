@@ -66,9 +66,9 @@ def trade_offs(context: Context) -> Section:
     )
     front = np.flatnonzero(ranking.pareto)
     sentence = (
-        f"Pareto front over {', '.join(metric(name).title for name in ranking.pareto_metrics)}: "
-        f"{plural(front.size, 'design')} that no other ranked design beats in one metric without being worse "
-        "in another."
+        f"Pareto front over {'; '.join(metric(name).title for name in ranking.pareto_metrics)}: "
+        f"{plural(front.size, 'design')} to which no other ranked design is better in one of these metrics without "
+        "being worse in another."
         if ranking.pareto_metrics and ranking.ranked
         else "There is no Pareto front: no design is ranked."
         if ranking.pareto_metrics
@@ -76,8 +76,8 @@ def trade_offs(context: Context) -> Section:
     )
     body = paragraphs(sentence) + figure(
         charts,
-        "Mean S against another metric, one point a design; filled: meets all requirements. The line is the front of "
-        "these two metrics alone.",
+        "One point per design: mean S against another metric. Filled points meet all requirements. The line is the "
+        "Pareto front of these two metrics alone.",
         cloud_legend(context),
     )
     if front.size:
@@ -92,7 +92,7 @@ def trade_offs(context: Context) -> Section:
         ]  # fmt: skip
         more = f", the first {MOST_ROWS} of {front.size}" if front.size > MOST_ROWS else ""
         body += to_html(Table(f"The Pareto front{more}", columns, rows, head=1))
-    return Section("trade-offs", "Trade-offs", body, charts)
+    return Section("trade-offs", "Trade-offs", body, charts, printed=True)
 
 
 def trade_off(context: Context, across: str, name: str) -> Chart:

@@ -249,7 +249,7 @@ def find_baseline(baseline: str, results: StudyResults) -> int | None:
     laws = list(dict.fromkeys(design.law for design in (*results.designs, *failed)))
     raise InputError(
         "ranking.baseline",
-        f"is no law of this study, nor the start of a design's identifier ({_FEWEST_DIGITS} digits or more)",
+        f"is neither a law of this study nor the start of a design's identifier ({_FEWEST_DIGITS} digits or more)",
         value=baseline,
         allowed=laws,
     )

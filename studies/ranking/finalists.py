@@ -13,7 +13,7 @@ from ldctoolkit.vehicle import Convention
 
 from ..design import Design
 from ..design_space import Dimension
-from ..requirements import Estimate, Miss, Requirement, metric
+from ..requirements import Estimate, Miss, Requirement, metric, metric_values
 from ..results import FailedDesign, RefitScores, StudyResults, score_label
 from .design_metrics import DesignMetrics, mean_reduction
 from .inference import (
@@ -288,6 +288,7 @@ class RankedDesigns:
     limited: FloatArray
     fresh_limited: FloatArray  # (k, 3, d) The same on the fresh scenarios; NaN for designs that were not driven there
     fresh_saved: FloatArray  # (d,) 1 - mean S / mean S without control on the fresh scenarios
+    fresh_needless: FloatArray  # (d,) Share of departures with a needless intervention on the fresh scenarios
     baseline: int | None  # Position of the design behind `Inference.baseline_difference`
     # (d,) Ranked designs that no other ranked design beats in one metric of `pareto_metrics` without being worse in
     # another
@@ -356,7 +357,7 @@ class RankedDesigns:
 
     @property
     def label(self) -> str:
-        """Window of S and reading of the paper: ``"departure window, consistent"``."""
+        """Window of S and reading of the paper: ``"departure window, signs consistent"``."""
         return score_label(self.window, self.convention)
 
     @property
@@ -387,6 +388,11 @@ class RankedDesigns:
     def saved(self, i: int) -> float:
         """1 - mean S / mean S without control on the scenarios of `sample`."""
         return float((self.fresh_saved if np.isfinite(self.fresh.S[i]) else self.metrics.reduction)[i])
+
+    def needless(self, i: int) -> float:
+        """Share of departures with a needless intervention, of the scenarios of `sample`."""
+        fresh = bool(np.isfinite(self.fresh.S[i]))
+        return float((self.fresh_needless if fresh else metric_values("needless", self.metrics))[i])
 
     def estimates(self, i: int) -> tuple[Estimate, ...]:
         """The limited metrics of a design on the scenarios of `sample`."""

@@ -20,7 +20,7 @@ from ldctoolkit.metrics import METRICS, RELEASE_METRICS, declare, measured_on
 from ldctoolkit.vehicle import VehicleModel
 
 from ..design import Design
-from ..requirements import SETS, criterion, metric, missed_by, requirements_of
+from ..requirements import SETS, criterion, metric, metric_values, missed_by, requirements_of
 from ..results import StudyResults
 from ..standards import standard_names
 from ..storage.checked_parts import differences
@@ -231,7 +231,7 @@ class Ranking(RankedDesigns, Frame):
         limited = sampling_intervals(drivable, metrics, names, D_y, confidence, setup)[:, :, order]
         mean_S = [name == "S" for name in names]
         limited[mean_S, 1:] = of_S[1].S_low, of_S[1].S_high
-        fresh_limited, fresh_saved = np.full_like(limited, np.nan), np.full(len(order), np.nan)
+        fresh_limited, (fresh_saved, fresh_needless) = np.full_like(limited, np.nan), np.full((2, len(order)), np.nan)
         warnings = list(_warnings_of_runs(results, drivable))
         designs = tuple(results.designs[i] for i in order)
         fresh = fresh_S = no_fresh_scores(len(order), ranked)
@@ -274,6 +274,7 @@ class Ranking(RankedDesigns, Frame):
             fresh_limited[:, :, positions] = intervals
             fresh_limited[mean_S, 1:] = fresh_S.low, fresh_S.high
             fresh_saved[positions] = fresh_metrics.reduction
+            fresh_needless[positions] = metric_values("needless", fresh_metrics)
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # no control is not a design to choose
@@ -329,6 +330,7 @@ class Ranking(RankedDesigns, Frame):
             limited=limited,
             fresh_limited=fresh_limited,
             fresh_saved=fresh_saved,
+            fresh_needless=fresh_needless,
             baseline=position,
             pareto=front,
             pareto_metrics=pareto_metrics,

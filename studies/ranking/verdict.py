@@ -9,7 +9,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.declared import Gain
-from ldctoolkit.metrics import METRICS
+from ldctoolkit.metrics import DTLE_LIMIT, METRICS
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import Driver
 from ldctoolkit.scenario_model import ScenarioModel
@@ -234,7 +234,12 @@ def _score(ranking: RankedDesigns, i: int) -> str:
         if math.isfinite(value := values[name])
     ]
     costs = f"; control adds {_list(added)} (95 % quantiles)" if added else ""
-    return f"Mean S {S:.3f} m s on {ranking.sample(i)}{between}{change}{costs}."
+    share = math.nan if ranking.designs[i].is_baseline else ranking.needless(i)
+    needless = (
+        f" In {100 * share:.1f} % of departures it intervenes needlessly: the recorded path stays within "
+        f"{-DTLE_LIMIT:g} m beyond the line."
+    )
+    return f"Mean S {S:.3f} m s on {ranking.sample(i)}{between}{change}{costs}.{'' if math.isnan(share) else needless}"
 
 
 def _percent(share: float) -> str:
@@ -474,14 +479,14 @@ RANKING_METRICS: Final = ("reduction", "a_y_added_peak_p95", "jerk_added_peak_p9
 
 COLUMNS_TEXT: Final = (
     "Reduction: of mean S against no control. p95: 95 % quantile of what control adds to the recorded path. "
-    "Needless: share of departures with an intervention that stay within 0.3 m by themselves."
+    "Needless: share of departures with an intervention although the recorded path stays within 0.3 m beyond the line."
 )
 """Explanation of the short headings."""
 
 
 STEP_TEXT: Final = (
     "Step: time of the law's step for one vehicle, median and 99 % quantile, measured on this machine, in Python. It "
-    "is no result, and differs from run to run. Linear laws have no step."
+    "differs from run to run and is not part of the results. Linear laws have no step."
 )
 _STEP_COLUMNS: Final = (("Step", "step", "Median"), ("Step 99 %", "step_p99", "99 % quantile"))
 
@@ -542,7 +547,7 @@ def judged(ranking: RankedDesigns, position: int) -> str:
     if ranking.missed[position]:
         sets = dict.fromkeys(miss.requirement.set or miss.requirement.text for miss in ranking.missed[position])
         most = max((miss.excess for miss in ranking.missed[position] if miss.requirement.limit), default=0.0)
-        by = f" +{100 * most:.0f}%" if 0.005 <= most < 10 else ""
+        by = f" by {100 * most:.0f} %" if 0.005 <= most < 10 else ""
         phrases.append(f"breaks {', '.join(sets)}{by}")
     elif ranking.requirements:
         certain = not any(estimate.required and estimate.uncertain for estimate in ranking.estimates(position))
@@ -610,10 +615,10 @@ def limit_line(ranking: RankedDesigns) -> str:
 
     second = max(within, without)
     low, high = (float(getattr(ranking.inference, f"difference_{end}")[second]) for end in ("low", "high"))
-    apart = f" Between them: {ranking.apart(float(ranking.inference.difference[second]), low, high)}."
+    apart = f" Difference of the two: {ranking.apart(float(ranking.inference.difference[second]), low, high)}."
     return (
-        f"With a limit of comfort in the law: {parts(within, ' than without control')} (95 % quantile); the best "
-        f"without: {parts(without, '')}.{'' if min(within, without) or math.isnan(low + high) else apart}"
+        f"Best design with a limit of comfort in its law: {parts(within, ' than without control')} (95 % quantile). "
+        f"Best without: {parts(without, '')}.{'' if min(within, without) or math.isnan(low + high) else apart}"
     )
 
 
@@ -631,7 +636,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
             apart = ranking.apart(value, low, high, "+.4f")
             yield f"{what} ({design_name(ranking.designs[b])}): {apart} on the {where} scenarios."
     if i is not None and ranking.fresh.scenarios and not np.isfinite(ranking.fresh.S[i]):
-        yield "The winner was no finalist; it has no fresh score."
+        yield "The winner was not among the finalists and has no score on fresh scenarios."
     if i is not None and np.isfinite(ranking.fresh.optimism[i]):
         yield optimism_text(ranking, i)
     if i is not None and ranking.fresh.difference[i] < 0 and ranking.fresh.difference_high[i] < 0:
@@ -656,7 +661,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         yield f"Required of the winner, on {ranking.sample(i)}: {'; '.join(texts)}."
     if ranking.ranked < len(ranking):
         left = len(ranking) - ranking.ranked
-        yield f"{left:,} of {len(ranking):,} designs break a requirement and are not ranked."
+        yield f"{left:,} of {len(ranking):,} designs do not meet a requirement and are not ranked."
     if ranking.pareto_metrics and ranking.pareto.any():
         yield (
             f"Pareto front over {', '.join(ranking.pareto_metrics)}: {int(ranking.pareto.sum())} designs, "
@@ -672,7 +677,7 @@ def recordings_text(ranking: RankedDesigns, unit: str = "m s") -> str:
     if i is None or not recordings.text:
         return ""
     if not math.isfinite(low := float(recordings.low[i])):
-        return f"What the recordings leave open is not known: {recordings.text}."
+        return f"Uncertainty from the limited recordings is not known: {recordings.text}."
     parts = [
         f"mean S {low:.3f} .. {recordings.high[i]:.3f} {unit}",
         f"reduction {100 * recordings.reduction_low[i]:.1f} .. {100 * recordings.reduction_high[i]:.1f} %",
@@ -682,7 +687,7 @@ def recordings_text(ranking: RankedDesigns, unit: str = "m s") -> str:
         parts.append(f"difference to the baseline {end:+.4f} .. {high:+.4f} {unit}")
     failed = f" ({recordings.failed} more failed)" if recordings.failed else ""
     return (
-        f"What the recordings leave open ({level} intervals, {recordings.refits} refits{failed}): "
+        f"Uncertainty from the limited recordings ({level} intervals, {recordings.refits} refits{failed}): "
         f"{', '.join(parts)}; {recordings.text}."
     )
 

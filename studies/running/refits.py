@@ -21,7 +21,7 @@ from ldctoolkit.simulation import Takeover, Window
 from ..design import Design
 from ..results import FAILED_STATUSES, RefitScores, status_among
 from ..storage.folder_files import write_fields
-from ..storage.store import REFITS_FILE, read_refits, refits_key
+from ..storage.store import REFITS_FILE, read_refits
 from ..study_file import Study
 from .campaign import laws_to_send
 from .dispatch import Executor, Lost, Progress, Work, run_works
@@ -91,7 +91,7 @@ def scores_of_refits(
     stored = read_refits(folder, *key)
     if stored is not None and stored.designs == ids:
         return stored
-    (folder / REFITS_FILE).unlink(missing_ok=True)  # of another winner, model or version
+    (folder / REFITS_FILE).unlink(missing_ok=True)  # of another winner or model
     means, factor, df, text, doubt = np.empty((0, len(ids) + 1, 2)), math.nan, math.nan, NOT_KEPT, ""
     batch = min((design.batch for design in designs), default=0)
     if recorded is not None and batch < _SLOW_BATCH:
@@ -111,7 +111,7 @@ def scores_of_refits(
         means = np.array([results[i] for i in sorted(results)]).reshape(-1, *means.shape[1:])
         factor, df = uncertainty(recorded, len(means))
         text, doubt = recorded.clusters.text, recorded.clusters.doubt
-    scores = RefitScores(ids, means, refits - len(means), factor, df, refits_key(*key), text, doubt)
+    scores = RefitScores(ids, means, refits - len(means), factor, df, key, text, doubt)
     if math.isfinite(factor) and math.isnan(scores.half_width(scores.S[:, -1], 0.95)):
         scores = dataclasses.replace(scores, text=f"{scores.failed} of {refits} refits failed")
     write_fields(folder / REFITS_FILE, scores)

@@ -175,7 +175,7 @@ def planned_parts(
     try:
         path.mkdir(exist_ok=True)
     except FileExistsError:
-        raise StoreError(path, "is no folder", hint=_KEPT_THERE) from None
+        raise StoreError(path, "is not a folder", hint=_KEPT_THERE) from None
     except OSError as error:
         raise StoreError(path, f"cannot be made: {error.strerror or error}") from None
     with locked(path):

@@ -18,8 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from ldctoolkit.checked_files import parse_json, read_regular, without_checksum
 from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
+from ldctoolkit.surroundings import machine
 from ldctoolkit.vehicle import VehicleModel
-from ldctoolkit.version import DECISIVE, versions
+from ldctoolkit.version import RECORDED, versions
 
 from ..design import Design
 from ..design_space import load_laws
@@ -241,14 +242,9 @@ class Manifest(BaseModel):
                 name: ((study.folder / name).resolve().as_posix(), model.identity)
                 for name, model in study.vehicle_models.items()
             },
-            versions=dict(versions((*DECISIVE, "polars", "pydantic", "loky"))),
+            versions=dict(versions(RECORDED)),
             python=platform.python_version(),
-            machine=Machine(
-                system=f"{platform.system()} {platform.release()}",
-                architecture=platform.machine(),
-                processor=_processor(),
-                cores=os.cpu_count() or 1,
-            ),
+            machine=Machine(**machine()),
             created=_now(),
             command=_command(sys.argv),
         )
@@ -275,13 +271,11 @@ class Manifest(BaseModel):
     def read_study(self, *, current: bool = True) -> Study:
         """The study that was run, with the classes of its laws.
 
-        Raises `StoreError` if their code or the versions of packages are others than then; without `current` the stored
-        numbers can be read, but nothing can be driven again.
+        Raises `StoreError` if their code is another than then; without `current` the stored numbers can be read, but
+        nothing can be driven again.
         """
         if not current:
             return Study.from_dict(self._without_models(), source="study")
-        if others := self.other_versions():
-            raise StoreError("versions", f"the study was run with {others}", hint=_AGAIN)
         load_laws(self.study, Path(), {})
         classes: dict[str, Any] = {name: with_content(name, content) for name, content in self.laws.items()}
         changed = [name for name, kind in classes.items() if kind is None]
@@ -308,16 +302,6 @@ class Manifest(BaseModel):
 
 def _now() -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(errors="replace").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass  # not Linux
-    return platform.processor()
 
 
 def _command(arguments: Sequence[str]) -> str:
@@ -366,13 +350,15 @@ def read_manifest(folder: str | Path) -> Manifest:
     """
     path = Path(folder) / "manifest.json"
     if not os.path.exists(path):  # noqa: PTH110 - this one raises nothing, whatever the path
-        raise StoreError(folder, "holds no study (no manifest.json)")
+        raise StoreError(folder, "is not the folder of a study (it holds no manifest.json)")
     hint = "run the study into another folder"
     try:
         content = parse_json(read_regular(path, StoreError))
         version = content["format_version"]
         if version != FORMAT_VERSION:
-            raise StoreError(path, "of another format", value=version, allowed=str(FORMAT_VERSION), hint=hint)
+            if isinstance(version, int) and version > FORMAT_VERSION:
+                hint = "the folder is newer, update ldctoolkit"
+            raise StoreError(f"{path}: format_version", value=version, allowed=str(FORMAT_VERSION), hint=hint)
         return Manifest.model_validate(without_checksum(content))
     except ValidationError as error:
         problem = "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())

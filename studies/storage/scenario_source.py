@@ -104,7 +104,7 @@ def read_replayed(study: Study) -> ReplayedDepartures:
         if settings.weights:
             numeric = {column.name: column.values for column in departures.extra if column.values.dtype.kind == "f"}
             if settings.weights not in numeric:
-                raise RecordingError(name, "is no column of numbers", value=settings.weights, allowed=numeric)
+                raise RecordingError(name, "is not a column of numbers", value=settings.weights, allowed=numeric)
             weights = np.asarray(numeric[settings.weights], dtype=np.float64)
         notes = [f"Recorded departures, replayed: {departures.n:,} of {name}, found in {provenance.hours:,.4g} h."]
         if settings.path == "recorded":

@@ -18,7 +18,6 @@ from typing import Any
 
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.scenarios import Scenarios
-from ldctoolkit.version import versions
 
 from ..design import Design
 from ..results import FailedRun, RefitScores, StudyResults, TaskResult
@@ -46,6 +45,7 @@ from .run_table import PATTERN, AllFailedError, RunTable, parse_part, prefetched
 _log = logging.getLogger("studies")
 
 REFITS_FILE = "refits.json"
+ROBUSTNESS = "robustness.json"
 FINALISTS = "finalists"
 REPLAYED = "replayed"
 SCORES = {FINALISTS: "fresh scores", REPLAYED: "scores on the replayed departures"}
@@ -57,7 +57,7 @@ def make_folder(folder: Path) -> None:
     """Make the folder of a study, if it is not there."""
     strange = folder.exists() and not (folder / "manifest.json").exists()
     if strange and (not folder.is_dir() or any((folder / "results").glob("*"))):
-        raise StoreError(folder, "exists and is not the folder of a study (no manifest.json)", hint="choose another")
+        raise StoreError(folder, "exists, but is not the folder of a study", hint="choose another folder")
     output_folder(folder)
     output_folder(folder / "results")
 
@@ -107,7 +107,7 @@ class Store:
             if (others := former.other_versions()) or was != now:
                 what = f"was made with {others}" if others else "the vehicle model has changed since the last run"
                 notices = [f"{what}; everything is computed anew"]
-                _clear(folder, DESIGNS, FAILURES, TIMING_FILE, MEASURES, f"results/{PATTERN}")
+                _clear(folder, DESIGNS, FAILURES, TIMING_FILE, MEASURES, REFITS_FILE, ROBUSTNESS, f"results/{PATTERN}")
             else:
                 # their steering ratios differ, which decide no run, but scores in standards
                 if former.study["vehicle"] != manifest.study["vehicle"]:
@@ -130,6 +130,8 @@ class Store:
             study = manifest.read_study(current=current)
         except LdcError as error:
             raise StoreError.of(error.within(str(folder / "manifest.json"), ": ")) from None
+        if current and (others := manifest.other_versions()):
+            _log.warning("%s: was run with %s; its numbers are read as they are", folder, others)
         return cls(folder, manifest, study)
 
     @functools.cached_property
@@ -238,14 +240,9 @@ class Store:
 
 
 def read_refits(folder: Path, *key: str) -> RefitScores | None:
-    """What a folder holds of refits of these versions, whose key begins so; None where there is nothing."""
-    stored, key = read_fields(folder / REFITS_FILE, RefitScores), refits_key(*key)
+    """What a folder holds of refits, whose key begins so; None where there is nothing."""
+    stored = read_fields(folder / REFITS_FILE, RefitScores)
     return stored if stored is not None and stored.key[: len(key)] == key else None
-
-
-def refits_key(*parts: str) -> tuple[str, ...]:
-    """What `RefitScores` follow from: ranking, model, recordings and number, beside the versions of packages."""
-    return str(versions()), *parts
 
 
 def read_results(folder: str | Path) -> StudyResults:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 import numba
 import numpy as np
 from closed_loop import REAL, linear_law, machine, scenarios
+from history import report
 
 from ldctoolkit import LQR, Setup
 from ldctoolkit.plant_options import PlantOptions
@@ -134,6 +135,7 @@ def main() -> None:
     print("| case | ms | |\n| --- | ---: | --- |")
     print(f"| plain loop: actuator, tyres, speed profile | {1e3 * theirs:.1f} | reference |")
     print(f"| ours | {1e3 * ours:.1f} | {theirs / ours:.1f} times as fast |")
+    report("actuator, tyres, speed profile", theirs / ours)
     print(f"| ours, ideal plant | {1e3 * exact:.1f} | |")
     print(f"| ours, all options | {1e3 * every:.1f} | {every / exact:.1f} times the ideal plant |")
     one = together / TOGETHER

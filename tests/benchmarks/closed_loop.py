@@ -14,11 +14,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import control
 import numpy as np
+from history import processor, report
 
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, SteeringLaw
 from ldctoolkit.controllers import LQR, PreviewProportional
@@ -267,16 +267,7 @@ def header() -> None:
 def machine(*packages: str) -> str:
     """Processor, cores and versions of the packages, as a sentence."""
     shown = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
-    return f"{_processor()}, {usable_cores()} cores; Python {platform.python_version()}, {shown}."
-
-
-def _processor() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        for line in cpuinfo.read_text().splitlines():
-            if line.startswith("model name"):
-                return f"{line.partition(':')[2].strip()}, {platform.machine()}"
-    return platform.machine()
+    return f"{processor()}, {usable_cores()} cores; Python {platform.python_version()}, {shown}."
 
 
 def check(ours: np.ndarray | None, theirs: np.ndarray) -> None:
@@ -287,6 +278,7 @@ def check(ours: np.ndarray | None, theirs: np.ndarray) -> None:
 
 def row(case: str, ours: float, theirs: float) -> None:
     print(f"| {case} | {1e3 * ours:.2f} | {1e3 * theirs:.1f} | {theirs / ours:.1f} |", flush=True)
+    report(case, theirs / ours)
 
 
 def main() -> None:

@@ -27,6 +27,8 @@ import polars as pl
 import psutil
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from history import report
+
 from helpers import spmd
 
 ROWS_OF_TRIP, TRIPS_OF_BLOCK = 6000, 100  # rows of a trip on average (10 minutes); trips that are made at a time
@@ -172,6 +174,7 @@ def run(folder: Path, wanted: int, repeat: int) -> bool:
         ours, said = tree.finish()
         best = min(best, ours)
         print(f"ldc extract --workers 2: {told(tree, ours, rows)}; {ours / theirs:.2f} of the reference's time")
+        report("ldc extract over polars", ours / theirs)
         if attempt == 0:
             print("  " + "\n  ".join(said.strip().splitlines()[-12:]))
         digest = hashlib.sha256(output.read_bytes()).hexdigest()

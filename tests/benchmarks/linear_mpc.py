@@ -14,6 +14,7 @@ import numpy as np
 import osqp
 import scipy.sparse as sp
 from closed_loop import machine, scenarios, seconds
+from history import report
 
 from ldctoolkit import (
     BicycleModel,
@@ -248,10 +249,12 @@ def main() -> None:
         design = dataclasses.replace(DESIGN, solver=solver)
         each = seconds(lambda design=design: drive(design, over), 5) / steps
         print(f"| linear_mpc, solver = {solver!r} | {1e6 * each:.1f} | {raw / each:.0f} |", flush=True)
+        report(solver, raw / each)
         found[solver] = score(design, over)
         always = dataclasses.replace(design, always_solve=True)
         each = seconds(lambda always=always: drive(always, few), 1) / few_steps
         print(f"| the same, the solver called at every step | {1e6 * each:.1f} | {raw / each:.1f} |", flush=True)
+        report(f"{solver}, called at every step", raw / each)
         found[f"{solver}, at every step"] = score(always, few)
     print()
     reference = score(Replayed(commands), few)

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from history import report
 from sklearn.mixture import GaussianMixture
 
 from ldctoolkit import BoundedGaussianMixture, load_model
@@ -111,6 +112,7 @@ def main() -> None:
         f"EM pass on 1,021 lattice points: {1e3 * ours:.0f} ms, scikit-learn {1e3 * theirs:.0f} ms an iteration: "
         f"ratio {ours / theirs:.3f} (limit 0.10)"
     )
+    report("an EM pass", ours / theirs)
     average = whole_run(X, side)
     print(
         f"EM pass, average of a whole run that ends on 4,093 points: {1e3 * average:.0f} ms, "
@@ -126,12 +128,14 @@ def main() -> None:
         f"whole fit to {TOL:g} nats: {ours:.1f} s with all starts ({model.n_iter_} passes, {model.stop_reason_}), "
         f"scikit-learn's single fit {theirs:.1f} s ({gmm.n_iter_} iterations): ratio {ours / theirs:.3f} (limit 0.2)"
     )
+    report("whole fit", ours / theirs)
     print(f"log-likelihood above the truth's: {model.score(X) - side.score(X):+.5f} nats an event")
 
     ours, theirs = memory(X)
     ratio = ours / theirs
     print(f"peak memory above the data: {ours:.0f} MiB, scikit-learn {theirs:.0f} MiB: ratio {ratio:.3f} (limit 0.25)")
 
+    report("peak memory above the data", ratio)
     low, high = np.asarray(side.lower), np.asarray(side.upper)
     for points in (1021, 4093):
         t = seconds(lambda n=points: TruncatedNormal(side.means_, side.covariances_, low, high, points=n), 20)
@@ -153,6 +157,7 @@ def main() -> None:
         f"1,000,000 events: {ours:.2f} s (limit 1.5), scikit-learn's fit by rejection {theirs:.2f} s: ratio {ratio:.2f}"
     )
 
+    report("1,000,000 events drawn", ratio)
     if not chosen.no_selection:
         total = 0.0
         for name, mixture in (("left", reference.left), ("right", reference.right)):

@@ -26,6 +26,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from history import report
 
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, load_model, simulate
 from ldctoolkit.controllers.nonlinear_mpc import NonlinearMPC
@@ -260,6 +261,7 @@ def compare(name: str, drives: Drives) -> None:
     for rival, run in (rivals | {"do-mpc, virtual machine": lambda: run_do_mpc(drives)}).items():
         result = run()
         gap = np.array(result.gaps)
+        report(f"{name}, {rival}", result.seconds / drives.seconds)
         print(
             f"| | {rival} | {1e6 * result.seconds / steps:.0f} | {result.seconds / drives.seconds:.1f} | "
             f"{result.iterations / steps:.1f} | {gap.max():.1e} | {gap.min():.1e} | {np.median(result.apart):.0e} | "

@@ -16,6 +16,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy.stats
 from closed_loop import machine
+from history import report
 
 from ldctoolkit import Scenarios
 from ldctoolkit.metrics import MetricValues
@@ -77,6 +78,7 @@ def one_shape(d: int, n: int) -> None:
             scipy.stats.bootstrap((row,), np.mean, n_resamples=SAMPLES, method="percentile", batch=100)
 
     theirs = processor_seconds(reference, 2) / SOME
+    report(f"{d:,} x {n:,}", theirs * d / again)
     print(
         f"| {d:,} x {n:,} | {first:.2f} | {again:.2f} | {peak:.0f} | {1e3 * again / d:.2f} | {1e3 * theirs:.1f} | "
         f"{theirs * d / again:.0f} | {int(ranking.inference.set_of_best.sum()):,} |",

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 from closed_loop import machine
+from history import report
 
 from ldctoolkit.studies import Study, run_study
 from ldctoolkit.studies.storage.manifest import read_manifest
@@ -85,6 +86,7 @@ def measure(folder: Path) -> None:
     for name, command in stages.items():
         used = cost(*command)
         reference = reference or used
+        report(f"processor time over polars: {name}", used.processor / reference.processor)
         print(
             f"| {name} | {used.wall:.1f} | {used.processor:.1f} | {used.peak:,.0f} | {100 * used.peak / room:.0f} % | "
             f"{used.processor / reference.processor:.1f} |",

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from closed_loop import machine
+from history import report
 
 from ldctoolkit import load_model, simulate
 from ldctoolkit.studies.risk import DEPTHS, estimate_risk
@@ -79,6 +80,7 @@ def main() -> None:
         memory = peak(way, chosen.n) - peak(way, 1000)
         print(f"| {way} | {1e6 * seconds[way] / chosen.n:.1f} | {found[0]:,} | {memory:.0f} |", flush=True)
     print(f"\nTime of one block over that of chunks: {seconds['one block'] / seconds['chunks']:.2f}.")
+    report("one block over chunks", seconds["one block"] / seconds["chunks"])
     all_cores(20_000)
     n = FULL if chosen.full else SHORT
     whole = all_cores(n)

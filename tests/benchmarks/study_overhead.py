@@ -10,6 +10,8 @@ import tempfile
 import time
 from collections.abc import Iterator
 
+from history import report
+
 from ldctoolkit.simulation.kernel import entry
 from ldctoolkit.studies import Study, run_study
 
@@ -86,6 +88,8 @@ def speedup() -> None:
         wall = timed_study(study, workers)
         walls.setdefault(workers, []).append(wall)
         print(f"  {workers} process(es): {wall:6.2f} s")
+    report("second runs", walls[1][1] / walls[2][1])
+    report("first runs, workers started", walls[1][0] / walls[2][0])
     print(f"  two over one, second runs: {walls[1][1] / walls[2][1]:.2f} times faster")
     print(f"  two over one, first runs, workers started: {walls[1][0] / walls[2][0]:.2f} times faster")
 

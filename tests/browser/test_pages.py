@@ -85,6 +85,11 @@ def test_prints(open_page: Callable[..., Any], built: Any, tmp_path: Path, name:
     assert page.locator("#designs tbody tr:visible").count() <= 22
     assert page.locator("#verdict .verdict").is_visible()
     assert page.locator("#limits table").first.is_visible()
+    for part in ("#trade-offs svg.chart", "#confidence svg.chart"):
+        assert [chart.is_visible() for chart in page.locator(part).all()] == [True] * page.locator(part).count()
+    assert page.locator("#trade-offs h2").is_visible()
+    assert page.locator("#confidence h2").is_visible()
+    assert not page.locator("#landscape h2").is_visible()
     assert not page.get_by_role("navigation", name="Sections").is_visible()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") in (
         "rgb(255, 255, 255)",

@@ -53,6 +53,45 @@ def test_text_in_charts_is_large_enough_on_a_phone(open_page: Callable[..., Any]
     assert min(sizes) >= 9.5
 
 
+WORDS = """<table><tr><th scope="row">interventions</th></tr></table>
+<p style="width: 4em">in-ter-ven-tions <a style="overflow-wrap: anywhere">interventions</a></p>"""
+
+
+def test_a_broken_word_is_found(open_page: Callable[..., Any], tmp_path: Path) -> None:
+    """A hyphen may end a line; a table's heading of 60 px and a column of 4 em break a word."""
+    (tmp_path / "words.html").write_text(
+        f"<style>table {{ width: 60px }} th {{ overflow-wrap: anywhere }}</style>{WORDS}"
+    )
+    found = faults_of_layout(open_page(tmp_path / "words.html", width=390, height=844))
+    assert [fault.partition(":")[0] for fault in found] == ["broken word interventions"] * 2
+
+
+@pytest.mark.parametrize("name", ["ordinary", "driver"])
+def test_words_are_whole_on_a_phone(open_page: Callable[..., Any], built: Any, name: str) -> None:
+    """The limits broke "Needless interventions" into "intervention" and "s"."""
+    page = opened(open_page(built(name).path, width=390, height=844))
+    page.evaluate(
+        """() => { document.querySelector("#limits th[scope=row]").textContent = "Needless interventions"; }"""
+    )
+    assert faults_of_layout(page) == []
+
+
+def test_charts_of_S_say_which_side_and_which_direction(open_page: Callable[..., Any], built: Any) -> None:
+    page = open_page(built("ordinary").path)
+    texts = page.locator("#departures svg.chart").evaluate_all("(all) => all.map((e) => e.textContent)")
+    for side in ("left", "right"):
+        assert sum(f"S, departures to the {side} [m·s], less is better" in text for text in texts) == 1
+    assert "Mean S [m·s]: \u2190 better, worse \u2192" in page.locator("#confidence svg.chart").first.text_content()
+    names = page.locator("#confidence svg.chart, #departures svg.chart").evaluate_all(
+        "(all) => all.map((e) => e.getAttribute('aria-label'))"
+    )
+    assert {"Distribution: S of departures to the left", "Distribution: S of departures to the right"} <= set(names)
+    assert "Mean S with intervals, better to the left" in names
+    chart = open_page(built("driver").path).locator("#driver svg.chart")
+    assert "Difference of mean S [m·s]: \u2190 better, worse \u2192" in chart.text_content()
+    assert chart.get_attribute("aria-label").endswith("with each kind of driver, better to the left")
+
+
 def test_charts_are_dark_in_the_dark(open_page: Callable[..., Any], built: Any) -> None:
     page = open_page(built("ordinary").path, dark=True)
     colours = page.evaluate(

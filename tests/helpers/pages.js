@@ -106,5 +106,24 @@
     });
   }
 
-  return [sideways, overlaps, cut, small].flatMap((look) => look().slice(0, 20));
+  // Words of ordinary length whose letters stand on two lines; a hyphen or a slash ends a word.
+  function broken() {
+    const found = [], walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+    for (let node = walker.nextNode(); node; node = walker.nextNode()) {
+      const e = node.parentElement;
+      if (e.closest("script, style, svg, option, template, pre, code") || !shown(e)) continue;
+      for (const word of node.data.matchAll(/(?<![\p{L}\p{N}_.,])[\p{L}\p{N}_.,]{2,24}(?![\p{L}\p{N}_.,])/gu)) {
+        const range = document.createRange();
+        range.setStart(node, word.index);
+        range.setEnd(node, word.index + word[0].length);
+        const lines = Array.from(range.getClientRects()).filter((r) => r.width > 0);
+        if (lines.some((r) => r.top > lines[0].bottom - 2)) {
+          found.push(`broken word ${word[0]}: ${told(e, range.getBoundingClientRect())}`);
+        }
+      }
+    }
+    return found;
+  }
+
+  return [sideways, overlaps, cut, small, broken].flatMap((look) => look().slice(0, 20));
 })();

@@ -177,7 +177,7 @@ def test_nothing_in_nothing_out_and_no_step_of_zero() -> None:
         ({"T": ["2"]}, ".T[0]", "2", "a number"),
         ({"T": [1.0, None]}, ".T[1]", None, "a number"),
         ({"side": ["left", "rihgt"]}, ".side[1]", "rihgt", "right"),
-        ({"T": [[1.0], [1.0, 2.0]]}, ".T", ..., "one number a row"),
+        ({"T": [[1.0], [1.0, 2.0]]}, ".T", ..., "one number per row"),
         ({"c_0": [0.0, 0.0, 0.0]}, "", ..., ""),
         ({"c_0": [[0.0]]}, "", ..., "one dimension"),
     ],

@@ -47,7 +47,9 @@ def test_an_error_moves_with_its_fields() -> None:
 
 @pytest.mark.parametrize("value", [3, "x", None, (1, 3), lambda: None])
 def test_an_error_travels_between_processes(value: Any) -> None:
-    error = UnknownNameError("law", "is no controller", value=value, allowed={"lqr": 1, "pid": 3}.keys(), hint="h")
+    error = UnknownNameError(
+        "law", "is not a known control law", value=value, allowed={"lqr": 1, "pid": 3}.keys(), hint="h"
+    )
     there = pickle.loads(pickle.dumps(error))
     assert (type(there), str(there), there.allowed) == (UnknownNameError, str(error), ("lqr", "pid"))
     assert repr(there.value) == repr(value)

@@ -58,17 +58,6 @@ def test_hours_and_distance_come_back_and_do_not_enter_the_hash(model, text, tmp
     assert (load_model(path).provenance, load_model(path).content_hash) == (model.provenance, model.content_hash)
 
 
-def test_a_file_of_version_3_is_read_without_its_retired_keys(model, text, tmp_path):
-    data = json.loads(text)
-    data["version"] = 3
-    data["provenance"]["left"] |= {"aic": [1.0, 2.0], "criterion": "aic"}
-    data["provenance"]["settings"] |= {"criterion": "aic", "slack": None, "indifference": 0.001}
-    del data["checksum"]
-    (tmp_path / "m.json").write_text(json.dumps(data))
-    back = load_model(tmp_path / "m.json")
-    assert (back.provenance, back.content_hash) == (model.provenance, model.content_hash)
-
-
 def test_unknown_names_and_missing_files(tmp_path):
     for name in ("refrence", ""):
         with refused("scenario model", UnknownNameError, value=name, allowed=("reference",)):
@@ -142,8 +131,8 @@ def changed(data, path, value):
 
 BROKEN = {  # what the error says of it: a key of the file, and what is written there
     "'ldctoolkit-scenario-model'": [("format", "other")],
-    "version 3 to 5, which this program reads": [("version", odd) for odd in (6, 2, "4", True, 4.0, KeyError)],
-    "missing, and has no default": [
+    "version 4 to 5, which this program reads": [("version", odd) for odd in (6, 3, "4", True, 4.0, KeyError)],
+    "is missing and has no default": [
         ("sides", KeyError), ("units", KeyError), ("sides.left.transform", KeyError), ("sides.left.weights", KeyError),
         ("provenance.left.bounds_from", [["T", "auto"]], "provenance.left.bounds_from[0][2]"),
         ("provenance.left.failed", [[3]], "provenance.left.failed[0][1]"),

@@ -341,10 +341,3 @@ def test_paths_on_the_same_axes_differ(ax: matplotlib.axes.Axes) -> None:
     for look in ("get_color", "get_marker", "get_linestyle"):
         assert len({str(getattr(path, look)()) for path in paths[:2]}) == 2
     assert len({path.get_color() for path in paths}) == 3
-
-
-def test_the_former_name_of_metrics_warns(results: StudyResults) -> None:
-    outcome = simulate(LQR(), Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=1), y_s=0.1)
-    for source in (results, outcome):
-        with pytest.warns(DeprecationWarning, match="metrics"):
-            assert source.companions is source.metrics

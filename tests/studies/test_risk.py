@@ -445,9 +445,9 @@ def test_a_study_that_replays_a_table_is_refused(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text('name = "s"\n[scenarios]\ntable = "d.parquet"\n[[design]]\nlaw = "lqr"\n')
     done = ldc("risk", "s.toml", "-n", "100", cwd=tmp_path)
     assert done.returncode == 2
-    assert "study s: recorded departures, which have no tail beyond them; give --model" in done.stderr
+    assert "study s: replays recorded departures: none is rarer than those; give --model" in done.stderr
     study = Study.from_toml(tmp_path / "s.toml")
-    with pytest.raises(InputError, match="study s: recorded departures, which have no tail beyond themselves"):
+    with pytest.raises(InputError, match="study s: replays recorded departures: none is rarer than those"):
         estimate_risk(study.designs, study, n=100)
 
 

@@ -163,10 +163,10 @@ def test_no_reader_and_several(tmp_path: Path, install: Callable[..., None]) -> 
     for file, text in TABLES.values():
         (tmp_path / file).write_text(text)
     (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(RecordingError, match=r"^notes.csv: no reader knows such files; allowed: .*uah-driveset"):
+    with pytest.raises(RecordingError, match=r"^notes.csv: no reader recognises this file; allowed: .*uah-driveset"):
         open_recordings([tmp_path / "notes.csv"])
     # plain tables are of another vehicle and step than the SPMD's
-    with pytest.raises(RecordingError, match=r"several readers know such files \(.*spmd-das2: .*--format"):
+    with pytest.raises(RecordingError, match=r"several readers recognise this file \(.*spmd-das2: .*--format"):
         open_recordings([tmp_path])
 
 

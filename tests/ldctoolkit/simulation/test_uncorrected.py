@@ -89,6 +89,30 @@ def test_extremes_in_closed_form_and_searched_equal_a_dense_search(residuals: Re
         assert np.all(ours <= samples.max(axis=1) + size * bend)
 
 
+@pytest.mark.parametrize("peak", [0.01, 0.499, 0.5, 0.56, 0.97])
+def test_the_highest_value_of_curves_with_a_known_peak(peak: float) -> None:
+    path = UncorrectedPath.of(FEW, OFF, seed=0)
+    start, end, T, some = 0.1 * FEW.T, 0.8 * FEW.T, FEW.T[:, None], np.array([3, 1])
+
+    def share(t: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return (t / T[rows] - 0.1) / 0.7 - peak
+
+    shapes = {
+        "smooth": lambda x: np.cos(x) + 0.1 * np.sin(x) ** 3,
+        "a kink": lambda x: 1.0 - np.where(x > 0.0, 2.0, 0.3) * np.abs(x),
+        "a jump of the curvature": lambda x: 1.0 - np.where(x > 0.0, 3.0, 0.1) * x * x,
+        "flat": lambda x: np.ones_like(x),
+        "rising to the end": lambda x: x - 1.0 + peak + 1.0,
+    }
+    for name, shape in shapes.items():
+        found = path.highest(lambda _, rows, t, shape=shape: shape(share(t, rows)), start, end)
+        assert np.all(np.abs(found - 1.0) < 1e-9), name
+        alone = path.take(some).highest(
+            lambda _, rows, t, shape=shape: shape(share(t, some[rows])), start[some], end[some]
+        )
+        np.testing.assert_array_equal(alone, found[some])
+
+
 # --- closed forms with residuals
 @pytest.mark.parametrize("residuals", KINDS)
 def test_derivatives_equal_central_differences(residuals: Residuals) -> None:

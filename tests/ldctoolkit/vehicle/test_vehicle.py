@@ -19,14 +19,14 @@ from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
 from helpers.closed_loop import grid
 from helpers.errors import refused
-from ldctoolkit import BicycleModel, VehicleParameters
+from ldctoolkit import BicycleModel, Plant, VehicleParameters
 from ldctoolkit.casadi_code import Names
 from ldctoolkit.controllers._prediction_model import STATES, Vehicle
 from ldctoolkit.declared import UnitWarning
 from ldctoolkit.errors import LdcError
 from ldctoolkit.vehicle import discretize
 from ldctoolkit.vehicle.bicycle import GRAVITY
-from ldctoolkit.vehicle.discretization import expm
+from ldctoolkit.vehicle.discretization import augmented, expm
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
 
 SPEEDS = np.array([1.0, 5.0, 13.7, 28.0, 60.0])
@@ -382,6 +382,31 @@ def test_some_columns_have_the_bits_of_all() -> None:
     v = np.random.default_rng(2).uniform(*SPEED_RANGE, 30)
     whole = scheduled(_Smooth(1.0), v, "values")
     np.testing.assert_array_equal(scheduled(_Smooth(1.0), v, "values", columns=slice(1, 3)), whole[:, 1:3])
+
+
+@pytest.mark.parametrize(("dt", "lag", "delay"), [(0.05, 0.0, 0.0), (0.05, 0.1, 0.12), (0.2, 0.02, 0.25)])
+@pytest.mark.parametrize("model", [BicycleModel(), BicycleModel(OTHER)])
+def test_a_sampled_plant_is_the_exponential_to_rounding(
+    model: BicycleModel, dt: float, lag: float, delay: float
+) -> None:
+    v = np.concatenate([[0.5, 95.0], SPEED_RANGE, np.random.default_rng(3).uniform(*SPEED_RANGE, 200)])
+    ours = Plant.build(model, v, dt, lag=lag, delay=delay).augmented
+    exact = augmented(*model.matrices(v), dt, lag=lag, delay=delay)
+    alone = Plant.build(model, v[4:5], dt, lag=lag, delay=delay).augmented
+    assert (ours.whole, ours.split) == (exact.whole, exact.split)
+    for name in ("A", "B", "B_old", "E_0", "E_1"):
+        values, expected = getattr(ours, name), getattr(exact, name)
+        np.testing.assert_array_equal(values[:2], expected[:2])
+        np.testing.assert_array_equal(values[4:5], getattr(alone, name))
+        assert np.all(np.abs(values - expected)[2:] <= 5e-13 * np.abs(expected[2:]).max(axis=0))
+
+
+def test_a_plant_that_rounding_spoils_is_not_interpolated() -> None:
+    # at walking pace the printed matrix diverges by twelve orders of magnitude within a sample
+    v, numbers = np.array([3.0, 20.0]), {"lag": 0.01, "delay": 0.013}
+    model = BicycleModel(convention="as_printed")
+    ours = Plant.build(model, v, 0.5, **numbers).augmented
+    np.testing.assert_array_equal(ours.B, augmented(*model.matrices(v), 0.5, **numbers).B)
 
 
 SHEET = {"mass": 1650.0, "front_load": 910.0, "wheelbase": 2.8, "understeer_gradient": 0.003}

@@ -151,10 +151,10 @@ def test_gains_trigger_and_time_to_line_crossing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("lrq",), "'lrq' is neither a law, nor a study, nor a folder; did you mean 'lqr'?"),
+        (("lrq",), "'lrq' is neither a law, a study nor a folder; did you mean 'lqr'?"),
         (("lqr", "--standard", "euroncap-2026-elk-roadedge"), f"did you mean '{ROAD_EDGE}'?"),
-        (("road-edge", "--gain", "r_delta=3"), "--gain, --y-s: go with the name of a law; road-edge has its own"),
-        (("road-edge", "--y-s", "-0.3"), "--gain, --y-s: go with the name of a law; road-edge has its own designs"),
+        (("road-edge", "--gain", "r_delta=3"), "--gain, --y-s: need the name of a law; road-edge has its own"),
+        (("road-edge", "--y-s", "-0.3"), "--gain, --y-s: need the name of a law; road-edge has its own designs"),
         (("lqr", "--y-s", "-11"), "y_s: -11.0; allowed: a finite number >= -10"),
         (("lqr", "--gain", "r_detla=3"), "did you mean 'r_delta'?"),
     ],
@@ -188,7 +188,7 @@ def test_a_study_that_requires_a_standard(few: tuple[Path, str]) -> None:
     assert [row["rank"] for row in (early, late, none)] == ["1", "", ""]
     assert (early["y_s_m"], late["y_s_m"]) == ("-0.4", "0.3")
     assert late["unmet"] == f"{ROAD_EDGE} >= 0.9"
-    assert "2 of 3 designs break a requirement and are not ranked." in out
+    assert "2 of 3 designs do not meet a requirement and are not ranked." in out
     assert "Best design that meets the limits: LQR, y_s = -0.4 m." in out
     page = page_at(folder / "out" / "report.html")
     words = page.words("standards")
@@ -198,14 +198,14 @@ def test_a_study_that_requires_a_standard(few: tuple[Path, str]) -> None:
     assert page.images.count("passes at every corner") == 36
     limits = page.headed("Metric", "Limit")[0]
     assert ["Euro NCAP 2026, ELK road edge, cells passed", "≥ 90 %", "own", "100.0 %", "0.0 %", "1"] in limits
-    assert f"breaks {ROAD_EDGE} >= 0.9 +100%" in page.words("ranking")
+    assert f"breaks {ROAD_EDGE} >= 0.9 by 100 %" in page.words("ranking")
 
 
 def test_a_study_that_requires_the_whole_standard(few: tuple[Path, str], tmp_path: Path) -> None:
     """By its bare name; a study without such a requirement has no such section and no such column."""
     folder, _ = few
     out = good("rank", "out", "--require", ROAD_EDGE, cwd=folder)
-    assert f"breaks {ROAD_EDGE} >= 1 +100%" in " ".join(out.split())
+    assert f"breaks {ROAD_EDGE} >= 1 by 100 %" in " ".join(out.split())
     plain = "\n".join(line for line in STUDY.splitlines() if not line.startswith("require"))
     (tmp_path / "plain.toml").write_text(plain, encoding="utf-8")
     good("run", "plain.toml", "-o", "out", "--workers", 1, cwd=tmp_path)

@@ -100,7 +100,7 @@ def test_a_copy_is_the_same(folders: Path, tmp_path: Path) -> None:
 def test_refusals(folders: Path) -> None:
     assert "the same folder twice" in bad("compare", "old", "./old", cwd=folders)
     assert "no scenario in both (seed: 2 -> 3; " in bad("compare", "old", "seed", cwd=folders)
-    assert "holds no study" in bad("compare", "old", "nowhere", cwd=folders)
+    assert "is not the folder of a study" in bad("compare", "old", "nowhere", cwd=folders)
     assert "must end in .csv or .html" in bad("compare", "old", "new", "-o", "c.txt", cwd=folders)
     assert "the folder nowhere does not exist" in bad("compare", "old", "new", "-o", "nowhere/c.csv", cwd=folders)
     shutil.copytree(folders / "new", folders / "broken")

@@ -82,7 +82,7 @@ def test_changed_and_stale_folders_are_noticed(folder: Path) -> None:
     header.write_text(whole)
     (folder / "made" / "main.c").unlink()
     assert "changed by hand: main.c\n" in ldc("export", "plain", "-o", "made", "--verify", cwd=folder).stdout
-    assert "plain: holds no export; allowed: a folder that ldc export wrote" in bad(
+    assert "plain: is not the folder of an export; allowed: a folder that ldc export wrote" in bad(
         "export", "plain", "-o", "plain", "--verify", cwd=folder
     )
 
@@ -182,5 +182,7 @@ def test_the_worst_departures_for_other_simulators(folder: Path) -> None:
     )
     (file,) = (folder / "none").iterdir()
     assert {row["trigger_time_s"] for row in csv_rows(file)} == {""}
-    assert "no departure that can be driven has it" in bad("scenarios", "plain", "--departure", 9999, cwd=folder)
+    assert "no departure with this number can be simulated" in bad(
+        "scenarios", "plain", "--departure", 9999, cwd=folder
+    )
     assert "--worst" in bad("scenarios", "plain", "--worst", 0, cwd=folder)

@@ -75,8 +75,8 @@ def test_what_cannot_be_used_is_told_and_the_rest_is_written(folder: Path, ldc: 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--format", "tabel"], "format: 'tabel' is no reader; did you mean 'table'?"),
-        (["--format", "spmd"], "format: 'spmd' is no reader; did you mean 'spmd-das"),
+        (["--format", "tabel"], "format: 'tabel' is not a known reader; did you mean 'table'?"),
+        (["--format", "spmd"], "format: 'spmd' is not a known reader; did you mean 'spmd-das"),
         (["--format", "spmd-das1"], "a.csv"),
         (["--workers", "0"], "--workers"),
         (["--workers", "2", "--dask", "tcp://h:1"], "workers: 2 with the cluster at tcp://h:1"),

@@ -138,7 +138,7 @@ def test_without_a_model_recorded_departures_are_replayed(tmp_path: Path) -> Non
         (["--law", "lqr", "--model", "referenc"], "did you mean 'reference'?"),
         (["--law", "lqr", "--departures", "none.parquet"], "none.parquet"),
         (["--law", "lqr", "--name", "a b"], "a b.toml: name: 'a b'; allowed: up to 80 letters"),
-        (["ideal", "-o", "there.toml"], "there.toml: exists; allowed: another -o, or --force to replace it"),
+        (["ideal", "-o", "there.toml"], "there.toml: exists already; allowed: another -o, or --force to replace it"),
         (["ideal", "-o", "s.txt"], "-o s.txt: the name must end in .toml"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -156,6 +156,6 @@ def test_run_without_a_study_names_the_next_step(tmp_path: Path) -> None:
         "  in the catalog: driver, ideal, my-vehicle, paper, paper-as-printed, reality, road-edge, trigger-and-gains, "
         "zoo, zoo-sweep\n"
         "  ldc run trigger-and-gains                runs one of them\n"
-        "  ldc init trigger-and-gains -o my.toml    writes it to a file, a comment at every key\n"
+        "  ldc init trigger-and-gains -o my.toml    writes it to a file, with a comment at every key\n"
         "  ldc run my.toml                          runs that file\n"
     )

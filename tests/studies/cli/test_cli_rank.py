@@ -188,6 +188,8 @@ def test_json(folder: Path, rank: Rank) -> None:
     assert jerk["low"] == float(first["fresh_jerk_added_peak_p95_low_m_s3"]) <= jerk["value"]
     assert jerk["uncertain"] == (jerk["high"] is None or jerk["low"] <= 5.0 < jerk["high"])
     assert limits["lost <= 0"]["low"] is None
+    assert own["winner"]["needless_share"] == 0.728
+    assert "In 72.8 % of departures it intervenes needlessly" in own["sentences"][0]
     done = rank("plain", "--json", "--require", "S <= 0.0001")
     other = json.loads(done.stdout)
     assert done.stdout.count("\n") == 1
@@ -205,7 +207,7 @@ def test_json(folder: Path, rank: Rank) -> None:
         (["plain", "--confidence", "1.5"], "plain: ranking.confidence: 1.5; allowed: less than 1"),
         (["plain", "--confidence", "high"], "allowed: a finite number"),
         (["plain", "-o", "r.txt"], "must end in .csv"),
-        (["plain", "--require", "comfrt"], "'comfrt' is no set of requirements; did you mean 'comfort'?"),
+        (["plain", "--require", "comfrt"], "'comfrt' is not a set of requirements; did you mean 'comfort'?"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

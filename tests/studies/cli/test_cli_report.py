@@ -49,7 +49,7 @@ def test_what_lies_in_a_folder_and_how_it_is_written_again(folder: Path) -> None
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["--departure", "500"], "departure: 500; no departure that can be driven has it; the nearest is 298"),
+        (["--departure", "500"], "departure: 500; no departure with this number can be simulated; the nearest is 298"),
         (["--design", "not an id"], "--design 'not an id': no such design"),
     ],
 )

@@ -237,10 +237,10 @@ def test_two_conventions_are_compared_as_an_input_that_differs(scores: np.ndarra
     printed = finished(scores + 0.1, source="printed", simulation={"convention": "as_printed"})
     comparison = compare(finished(scores), printed)
     assert comparison.differences == ("simulation.convention: consistent -> as_printed",)
-    assert comparison.label == "departure window, consistent -> as printed"
+    assert comparison.label == "departure window, signs consistent -> as printed"
     np.testing.assert_allclose(comparison.S.difference, 0.1)
     assert compare(printed, finished(scores + 0.1, simulation={"convention": "as_printed"})).label == (
-        "departure window, as printed"
+        "departure window, signs as printed"
     )
 
 
@@ -449,7 +449,7 @@ def test_refusals_of_folders(tmp_path: Path, small_run: Path) -> None:
     for again in (folder, tmp_path / "link", str(folder) + "/"):
         with pytest.raises(InputError, match="the same folder twice"):
             compare(folder, again)
-    with pytest.raises(StoreError, match="holds no study"):
+    with pytest.raises(StoreError, match="is not the folder of a study"):
         compare(folder, tmp_path)
     (tmp_path / "two").mkdir()
     shutil.copy(folder / "manifest.json", tmp_path / "two")

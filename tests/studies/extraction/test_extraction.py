@@ -376,7 +376,7 @@ def test_a_folder_of_something_else_is_left_alone(made: Made, tmp_path: Path) ->
         run_extraction(made(*GOOD), workers=1, output=tmp_path / "d.parquet")
     assert sorted(path.name for path in folder.iterdir()) == [".lock", "thesis.tex"]
     (tmp_path / "e.parquet.parts").write_text("x")
-    with pytest.raises(StoreError, match="is no folder"):
+    with pytest.raises(StoreError, match="is not a folder"):
         run_extraction(made(*GOOD), workers=1, output=tmp_path / "e.parquet")
 
 

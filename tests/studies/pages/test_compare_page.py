@@ -473,7 +473,7 @@ def test_a_study_of_no_control_has_no_explorer() -> None:
 def test_another_machines_scores_are_reported(results: StudyResults) -> None:
     given = report_input(dataclasses.replace(results, S=1.01 * results.S))
     _, page = section_of(explorer.section, given)
-    assert "differ from the stored scores by up to 1.0 %" in page.words()
+    assert "differ from the stored ones by up to 1.0 %" in page.words()
 
 
 def test_distributions_hold_every_value(report: ReportInput) -> None:

@@ -209,7 +209,7 @@ def test_all_metrics_are_there(report: ReportInput) -> None:
 def test_what_is_printed(page: Page) -> None:
     """The first screen, the ranking and the limits; the rest says so by its class."""
     printed = [name for name in SECTIONS if f'<section id="{name}" class="screen"' not in page.html]
-    assert printed == ["verdict", "ranking", "limits"]
+    assert printed == ["verdict", "ranking", "limits", "trade-offs", "confidence"]
 
 
 def test_the_printed_rows_are_the_first_twenty_and_the_baseline(built: Made) -> None:
@@ -238,7 +238,7 @@ def test_trade_offs_list_the_front(results: StudyResults) -> None:
     report = dataclasses.replace(report_input(results), ranking=ranking)
     words = said_in(verdict_section.trade_offs, report)
     count = int(ranking.pareto.sum())
-    assert f"Pareto front over Mean S, Steering effort, mean: {count} designs" in words
+    assert f"Pareto front over Mean S; Steering effort, mean: {count} designs" in words
 
 
 def test_the_landscape_has_the_least_S_of_each_cell(report: ReportInput) -> None:
@@ -272,7 +272,7 @@ def test_two_equal_designs_are_not_separated() -> None:
     given = report_input(scored([S, S + noise], 2 * S, designs))
     words = said_in(confidence_section.section, given)
     assert "the scenarios do not separate the two" in words
-    match = re.search(r"about ([\d,]+) scenarios separate them with even chances", words)
+    match = re.search(r"about ([\d,]+) scenarios separate the two with a probability of 50 %", words)
     ranking = given.ranking
     half = 0.5 * (ranking.inference.difference_high[1] - ranking.inference.difference_low[1])
     assert match is not None

@@ -174,7 +174,7 @@ def test_a_baseline_that_failed_is_no_mistake_of_the_file() -> None:
 
 @pytest.mark.parametrize("word", ["lqq", "f00baa", LQR[0].id[:5]])
 def test_anything_else_is_refused_with_the_nearest(word: str) -> None:
-    with pytest.raises(InputError, match=rf"ranking\.baseline: '{word}' is no law .*allowed: lqr, none"):
+    with pytest.raises(InputError, match=rf"ranking\.baseline: '{word}' is neither a law .*allowed: lqr, none"):
         find_baseline(word, results(*LQR, NONE))
 
 

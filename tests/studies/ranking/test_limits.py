@@ -15,7 +15,7 @@ from ldctoolkit.controllers import LQR, LinearMPC, NoControl
 from ldctoolkit.studies.design import Design
 from ldctoolkit.studies.measures import measured
 from ldctoolkit.studies.ranking.ranking import Ranking, write_csv
-from ldctoolkit.studies.ranking.verdict import Light, OtherPlants, judged, more_lines, verdict
+from ldctoolkit.studies.ranking.verdict import Light, OtherPlants, judged, more_lines, verdict, verdict_lines
 from ldctoolkit.studies.requirements import Estimate
 from ldctoolkit.studies.results import StudyResults
 from ldctoolkit.studies.storage.measure_table import MeasureTable
@@ -220,7 +220,8 @@ def test_verdict_and_lights_are_of_the_fresh_scenarios() -> None:
     assert judgement.sentences[0].startswith("Mean S 0.500 m s on 300 fresh scenarios (95 % interval 0.4")
     assert judgement.sentences[0].endswith(
         "), 94.4 % less than without control; control adds 2.00 m/s² of lateral acceleration and 4.90 m/s³ of jerk "
-        "(95 % quantiles)."
+        "(95 % quantiles). In 100.0 % of departures it intervenes needlessly: the recorded path stays within 0.3 m "
+        "beyond the line."
     )
     assert light(ranking, results, "Score").text == "94.4 % less S than without control."
     assert light(ranking, results).state == "warning"
@@ -231,6 +232,27 @@ def test_verdict_and_lights_are_of_the_fresh_scenarios() -> None:
         "95 % interval 2.00 to 2.00 m/s²; Peak added jerk, 95 % quantile 4.90 m/s³, limit 5.00 m/s³, "
         f"95 % interval {estimate(ranking, JERK).low:.2f} to {estimate(ranking, JERK).high:.2f} m/s³."
     ]
+
+
+def with_deep(results: StudyResults, count: int) -> StudyResults:
+    """The same with that many recorded paths 0.5 m beyond the line, deeper than a needless intervention's."""
+    depth = np.where(np.arange(results.scenarios.n) < count, 0.5, 0.3)
+    return dataclasses.replace(results, scenarios=dataclasses.replace(results.scenarios, d_y=depth))
+
+
+def test_needless_interventions_are_those_of_the_sample_that_the_sentence_names() -> None:
+    """100 of 400 study scenarios are deep, 240 of 300 fresh ones; no control intervenes in none."""
+    results = with_deep(study(scenarios_of(400)), 100)
+    alone = verdict(ranked(results), results).sentences
+    assert "In 75.0 % of departures it intervenes needlessly" in alone[0]
+    ranking = ranked(results, fresh=with_deep(fresh_of(), 240))
+    (sentence,) = verdict(ranking, results).sentences
+    assert "on 300 fresh scenarios" in sentence
+    assert sentence.endswith(
+        " In 20.0 % of departures it intervenes needlessly: the recorded path stays within 0.3 m beyond the line."
+    )
+    assert sentence in verdict_lines(verdict(ranking, results))  # of terminal and ranking.md
+    assert [ranking.needless(i) for i in range(2)] == pytest.approx([0.2, 0.0])
 
 
 def test_what_is_missed_on_fresh_scenarios_is_red() -> None:

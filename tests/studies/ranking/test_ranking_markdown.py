@@ -121,7 +121,7 @@ def test_the_file_holds_the_text_which_is_the_same_each_time(tmp_path: Path) -> 
     other = dataclasses.replace(ranking, window="control", convention="as_printed")
     write_markdown(other, tmp_path / "r.md", STUDY, MANIFEST, found)
     text = (tmp_path / "r.md").read_text(encoding="utf-8")
-    assert "S: control window, as printed" in text
+    assert "S: control window, signs as printed" in text
     assert text == ranking_markdown(other, STUDY, MANIFEST, found)
     assert len(table(text)) == 4
 
@@ -145,9 +145,10 @@ def test_what_a_limit_inside_the_law_buys() -> None:
     (line,) = [line for line in more_lines(ranking) if "limit of comfort" in line]
     saved = [100 * (1 - S[i].mean() / 2.5) for i in (0, 3)]
     assert line.startswith(
-        "With a limit of comfort in the law: Linear MPC, y_s = 0.15 m, r_delta = 2500, jerk_max = 4, "
-        f"S {saved[0]:.1f} % less than without control at 4.50 m/s\u00b3 of jerk (95 % quantile); the best without: "
-        f"LQI, y_s = 0.15 m, r_delta = 10000, S {saved[1]:.1f} % less at 4.75 m/s\u00b3 of jerk. Between them: "
+        "Best design with a limit of comfort in its law: Linear MPC, y_s = 0.15 m, r_delta = 2500, jerk_max = 4, "
+        f"S {saved[0]:.1f} % less than without control at 4.50 m/s\u00b3 of jerk (95 % quantile). Best without: "
+        f"LQI, y_s = 0.15 m, r_delta = 10000, S {saved[1]:.1f} % less at 4.75 m/s\u00b3 of jerk. "
+        "Difference of the two: "
     )
     assert f" {S[3].mean() - S[0].mean():.4f} m s (" in line
     # with nothing to set beside it there is no sentence

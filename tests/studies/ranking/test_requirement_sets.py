@@ -69,7 +69,7 @@ def test_physical_is_the_friction_of_the_plant() -> None:
 
 
 def test_a_set_that_is_none_is_named() -> None:
-    with pytest.raises(UnknownNameError, match="'comfrot' is no set of requirements; did you mean 'comfort'"):
+    with pytest.raises(UnknownNameError, match="'comfrot' is not a set of requirements; did you mean 'comfort'"):
         requirements_of(["comfrot"])
 
 
@@ -95,7 +95,7 @@ def test_designs_that_meet_all_come_first_by_S() -> None:
     assert [design.label for design in ranking.designs] == [DESIGNS[i].label for i in (2, 3, 0, 1)]
     assert (ranking.rank.tolist(), [len(some) for some in ranking.missed]) == ([1, 2, 3, 0], [0, 0, 0, 2])
     assert judgement.title == "Best design that meets the limits: LQR, y_s = 0.1 m, r_delta = 1000"
-    assert judged(ranking, 3) == "breaks comfort +80%"
+    assert judged(ranking, 3) == "breaks comfort by 80 %"
 
 
 def test_studies_take_sets_by_name(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import importlib
 import itertools
 import logging
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -297,16 +298,29 @@ def test_a_report_of_changed_code_is_refused(
     assert compared.differences == ("law mine: other code",)
 
 
-def test_other_versions_start_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: Any) -> None:
+def test_numbers_of_other_versions_are_read_and_never_added_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     from ldctoolkit.studies.storage import manifest
 
     study = study_of(ranking={"finalists": 2, "bootstrap": 100})
     reference = ldc.run_study(study, tmp_path / "out", workers=1)
     parts = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("part-*")}
+    robustness = tmp_path / "out" / "robustness.json"
+    assert main(["report", str(tmp_path / "out"), "--no-figures"]) == 0
+    assert robustness.exists()
+    capsys.readouterr()
+    assert main(["rank", str(tmp_path / "out")]) == 0
+    before = capsys.readouterr().out
     versions = manifest.versions()
     monkeypatch.setattr(manifest, "versions", lambda *_: (*versions[:-1], ("osqp", "0.0.1")))
-    with pytest.raises(StoreError, match=r"run with osqp .* \(now 0\.0\.1\)"):
-        ldc.read_results(tmp_path / "out")
+    assert main(["rank", str(tmp_path / "out")]) == 0
+    out, err = capsys.readouterr()
+    assert out == before
+    assert re.search(r"out: was run with osqp \S+ \(now 0\.0\.1\); its numbers are read as they are", err)
+    assert main(["report", str(tmp_path / "out"), "--no-figures"]) == 0
+    assert "This study was run with osqp" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    np.testing.assert_array_equal(ldc.read_results(tmp_path / "out").S, reference.S)
     unlink = Path.unlink
 
     def interrupted(path: Path, **rest: Any) -> None:
@@ -324,6 +338,7 @@ def test_other_versions_start_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert sum("everything is computed anew" in record.message for record in caplog.records) == 1
     assert all(not path.exists() or path.stat().st_mtime_ns != before for path, before in parts.items())
     assert again.fresh is not None
+    assert not robustness.exists()
     np.testing.assert_array_equal(again.S, reference.S)
 
 

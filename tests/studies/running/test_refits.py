@@ -244,7 +244,7 @@ def test_refits_of_which_too_many_fail_say_so(
     assert results.refits is not None
     assert (results.refits.failed, len(results.refits.S)) == (3, 2)
     lines = list(more_lines(rank_study(results, STUDY)))
-    assert "What the recordings leave open is not known: 3 of 5 refits failed." in lines
+    assert "Uncertainty from the limited recordings is not known: 3 of 5 refits failed." in lines
 
 
 def test_a_model_without_recorded_departures_says_so(tmp_path: Path) -> None:

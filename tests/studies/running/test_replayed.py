@@ -110,7 +110,7 @@ def test_weights_choose_rows_in_proportion(table: Departures, tmp_path: Path) ->
         own = table.side == side
         times = np.array([(many.T[many.side == side] == T).sum() for T in table.T[own]])
         np.testing.assert_allclose(times, n * weight[own] / weight[own].sum(), atol=1.0)
-    with pytest.raises(LdcError, match=r"^d\.parquet: 'wort' is no column of numbers; did you mean 'worth'"):
+    with pytest.raises(LdcError, match=r"^d\.parquet: 'wort' is not a column of numbers; did you mean 'worth'"):
         run_study(study_on(tmp_path, departures="d.parquet", weights="wort"), directory=tmp_path / "no", workers=1)
 
 

@@ -327,7 +327,7 @@ def test_another_model_is_refused(make_study: MakeStudy, reference: StudyResults
 
 
 def test_a_folder_without_a_study_is_named(tmp_path: Path, make_study: MakeStudy) -> None:
-    with pytest.raises(StoreError, match="holds no study"):
+    with pytest.raises(StoreError, match="is not the folder of a study"):
         read_results(tmp_path)
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "mine.txt").write_text("")
