@@ -22,7 +22,7 @@ import ldctoolkit as ldc
 from ldctoolkit.studies.cli import main
 
 _ROOT = Path(__file__).parents[2]
-_SCREEN = {"width": 1100, "height": 524}
+_SCREEN = {"width": 1100, "height": 566}
 
 
 def small_study() -> dict[str, Any]:
@@ -79,7 +79,7 @@ def photograph(report: Path, folder: Path) -> str:
                 page = browser.new_page(viewport=_SCREEN, color_scheme=scheme)
                 page.goto(report.resolve().as_uri())
                 picture = Image.open(io.BytesIO(page.screenshot()))
-                picture.quantize(64, dither=Image.Dither.NONE).save(folder / name, optimize=True)
+                picture.quantize(128, dither=Image.Dither.NONE).save(folder / name, optimize=True)
             browser.close()
     except Error as error:
         return f"the browser does not run: {error.message.splitlines()[0]}"
