@@ -424,7 +424,7 @@ def _positions(frame: _Frame, series: Series) -> Iterator[tuple[float, float, bo
 def _intervals(chart: Chart) -> _Frame:
     """Values with intervals, the rows from the top."""
     depth = max(sum(_ROW * len(row) + _BETWEEN_ROWS for row in chart.rows), 60.0)
-    labels = [shorten(row[0].label, 37) for row in chart.rows]
+    labels = [shorten(row[0].label, 34) for row in chart.rows]
     left = min(30.0 + _CHARACTER * max(map(len, labels), default=0), 0.55 * WIDTH)
     height = depth + _BOTTOM + _ROWS_TOP
     frame = _Frame(chart.x, Axis("", 0.0, 1.0, categories=("",)), height, left=left, top=_ROWS_TOP)
