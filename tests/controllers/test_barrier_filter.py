@@ -198,7 +198,7 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
     to the corner that the curvature has at T, inside one of them; |e_y| <= e_y_max also in between, up to what the bend
     of dh/dt within a sample may add. The law inside, alone, leaves the corridor in many of the same departures."""
     design = BarrierFilter(inner_gains="K_y=-0.01", delta_max=1.0, **gammas)
-    scenarios = departures(300, seed=2)
+    scenarios = departures(500, seed=2)
     out = simulate(design, scenarios, settle=8.0, trajectories=True)
     alone = simulate(PreviewProportional(K_y=-0.01), scenarios, settle=8.0)
     paths = out.trajectories
