@@ -183,7 +183,7 @@ def test_several_mistakes_are_counted() -> None:
     ("content", "message"),
     [
         (b"name = ", "not a TOML file: "), (b"name = 'a'\nname = 'b'", "not a TOML file: "),
-        (b"\xff\xfe", "not a TOML file: "), (b"", "name: is missing and has no default"), (b"name = 'a'", "design: is missing and has no default"),
+        (b"\xff\xfe", "not a TOML file: "), (b"", "name: is missing"), (b"name = 'a'", "design: is missing"),
     ],
 )  # fmt: skip
 def test_a_broken_file_is_named(tmp_path: Path, content: bytes, message: str) -> None:
