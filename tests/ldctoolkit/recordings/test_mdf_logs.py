@@ -299,7 +299,7 @@ def test_texts_may_be_latin_1(tmp_path: Path, version: str, name: str) -> None:
 
 def test_long_texts_are_cut_in_messages(tmp_path: Path) -> None:
     t = groups()[0][1]
-    content = [*groups(), ("Notes", t, {"Note": (np.full(t.size, b"x" * 2000), "")})]
+    content = [*groups(), ("Notes", t, {"Note": (np.full(t.size, b"x" * 5000), "")})]
     log = write_log(tmp_path / "a.mf4", content, Note={"encoding": "utf-8"})
     assert len(problem(log, MAP + '[left_signal]\nchannel = "Note"\n')) < 300
 
@@ -345,7 +345,7 @@ def test_a_folder_is_trips_and_a_damaged_one_is_named(tmp_path: Path) -> None:
     write_log(tmp_path / "other.mdf", version="3.30").rename(tmp_path / "other.dat")
     (tmp_path / "notes.dat").write_text("no log")
     (tmp_path / "cut.dat").write_bytes(b"UnFinMF ")
-    (tmp_path / "bad.mf4").write_bytes((tmp_path / "day0/trip.mf4").read_bytes()[:2000])
+    (tmp_path / "bad.mf4").write_bytes((tmp_path / "day0/trip.mf4").read_bytes()[:5000])
     (tmp_path / "text.mf4").write_text("t,y\n0,1\n")
     (tmp_path / "none.mf4").write_bytes(b"")
     (tmp_path / "map.toml").write_text(MAP)
@@ -497,7 +497,7 @@ def damaged(sound: bytes, rng: random.Random) -> bytes:
     return bytes(content)
 
 
-LONG = [pytest.param(seed, 2000, marks=pytest.mark.slow) for seed in (1, 2)]  # 10,000 in all, for two workers
+LONG = [pytest.param(seed, 2000, marks=pytest.mark.slow) for seed in (1, 2)]  # 4,000 in all, for two workers
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 300), *LONG])
