@@ -51,8 +51,8 @@ def test_s_and_peaks_equal_the_reference(case: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
-def test_s_and_peaks_of_more_departures_equal_the_reference(case: str) -> None:
+def test_s_and_peaks_of_forty_departures_equal_the_reference(case: str) -> None:
     # frames between samples that no filter smooths: the loop enlarges what differs
-    compared, beyond = compare(case, np.arange(1, 40, 3), 0.8 if case == "camera" else 0.9)
-    assert compared >= 10
+    compared, beyond = compare(case, np.arange(40), 0.8 if case == "camera" else 0.94)
+    assert compared >= 30
     assert beyond >= HARD_SHARE.get(case, 0.0) * compared
