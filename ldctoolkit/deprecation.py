@@ -17,7 +17,7 @@ class LdcDeprecationWarning(DeprecationWarning):
 
 @dataclasses.dataclass(frozen=True)
 class Deprecation:
-    """As a decorator it is for functions, methods, what is below `property`, and classes."""
+    """What is announced; as a decorator it marks functions, methods (below `property`) and classes."""
 
     since: str  # version
     removed_in: str

@@ -26,6 +26,8 @@ SCENARIOS_A_TASK: Final = 1024  # Scenarios that a thread takes at a time
 class Stretch:
     """A range of the triggered scenarios in the compiled loops, sample by sample, in threads."""
 
+    drives = True  # The compiled loop drives a sample, and does not only look at its end
+
     def __init__(
         self,
         takeover: Takeover,
@@ -92,12 +94,11 @@ class Stretch:
 
     def sample(
         self, k: int, blocks: IntArray, command: FloatArray, times: FloatArray, seen: Sequence[FloatArray],
-        *, drives: bool = True,
     ) -> None:  # fmt: skip
         """Sample k of some blocks, and what the law sees then."""
         work = self.entry.sample_scratch(self.setting, times.size, self.substeps)
         tables = self.recorded, self.steering, self.paths
-        drives = drives and k >= 0
+        drives = self.drives and k >= 0
         self.entry.go_on(
             self.exact, self.setting, self.state, work, *tables, k, blocks, drives, command, self.going, times, *seen
         )
@@ -135,6 +136,8 @@ _LARGEST: Final = 1e6  # of a state that has not diverged
 class ModelStretch(Stretch):
     """The same on a vehicle model of the designer's."""
 
+    drives = False
+
     def __init__(self, takeover: Takeover, *arguments: Any) -> None:
         super().__init__(takeover, *arguments)
         assert takeover.setup.vehicle_model is not None
@@ -159,7 +162,6 @@ class ModelStretch(Stretch):
 
     def sample(
         self, k: int, blocks: IntArray, command: FloatArray, times: FloatArray, seen: Sequence[FloatArray],
-        *, drives: bool = False,
     ) -> None:  # fmt: skip
         """Sample k of some blocks: segments, and in each as many substeps as a block needs."""
         work = self.free.pop() if self.free else _Workspace(self)
@@ -180,7 +182,7 @@ class ModelStretch(Stretch):
                     self._ask_a_y(work, data.ASK_CUT, k, segment, some, rows, command)
             self._ask_a_y(work, data.ASK_END, k, 0, some, every, command)
         self.free.append(work)
-        super().sample(k, blocks, command, times, seen, drives=drives)
+        super().sample(k, blocks, command, times, seen)
 
     def _exchange(
         self, work: _Workspace, phase: int, k: int, j: int, segment: int, blocks: IntArray, rows: IntArray,
