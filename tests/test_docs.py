@@ -53,6 +53,7 @@ def test_the_readmes_pictures_are_there_for_light_and_dark() -> None:
     assert committed == {Path(name).name for dark, light, _ in pictures for name in (dark, light)}
 
 
+@pytest.mark.slow  # the extra `docs` is not there before the longer tier
 def test_a_drawing_for_the_dark_has_light_words_and_the_same_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(ROOT / "docs/_ext")
     darkened = importlib.import_module("pictures").darkened
