@@ -160,13 +160,16 @@ class Declaration:
         if self.pair:
             numbers = tuple(map(plain, value)) if isinstance(value, tuple | list | np.ndarray) else ()
             try:
-                first, second = (dataclasses.replace(self, pair="").check(number) for number in numbers)
+                first, second = (self._number(path, number) for number in numbers)
                 if first <= second if self.pair == "ascending" else first >= second:
                     return first, second
             except (InputError, ValueError):
                 pass
             limits = limits_text(self.above, self.lower, self.upper, self.unit)
             raise InputError(path, value=numbers or value, allowed=f"two {self.pair} numbers {limits}".rstrip())
+        return self._number(path, value)
+
+    def _number(self, path: str, value: Any) -> float:
         if self.whole:
             number = int(value) if isinstance(value, float) and value.is_integer() else value
             return checked_whole(path, number, lower=self.lower, upper=self.upper, unit=self.unit)

@@ -1,6 +1,7 @@
 """The shape of the house: imports point down, the wheel names its packages, no circles, no module outgrows its job."""
 
 import ast
+import functools
 import itertools
 import re
 import shutil
@@ -87,8 +88,13 @@ def modules(root: Path) -> dict[str, Path]:
     return found
 
 
-def nodes(path: Path) -> list[ast.AST]:
-    return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+@functools.cache
+def parsed(text: str) -> tuple[ast.AST, ...]:
+    return (*ast.walk(ast.parse(text)),)
+
+
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    return parsed(path.read_text(encoding="utf-8"))
 
 
 def level(module: str) -> int:

@@ -189,7 +189,7 @@ CACHED = [
 ]
 
 
-@pytest.mark.parametrize("module", CACHED)
+@pytest.mark.parametrize("module", [CACHED[0], *(pytest.param(x, marks=pytest.mark.slow) for x in CACHED[1:])])
 def test_no_settings_of_numba_from_the_working_directory(module: str, tmp_path: Path) -> None:
     """Whichever module with a cache is imported first; its functions were declared behind the guard."""
     (tmp_path / ".numba_config.yaml").write_text("cache_dir: planted\n")

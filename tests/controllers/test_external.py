@@ -80,7 +80,8 @@ LAWS: dict[str, Controller] = {
 @pytest.mark.parametrize(
     ("name", "setup"),
     [
-        *((name, "actuator and camera") for name in LAWS),
+        *((name, "actuator and camera") for name in ("lqi", "pid")),
+        *(pytest.param(name, "actuator and camera", marks=pytest.mark.slow) for name in list(LAWS)[2:]),
         ("lqi", "ideal plant"),
         pytest.param("linear_mpc", "trigger by time", marks=pytest.mark.slow),
         pytest.param("pid", "the catalog", marks=pytest.mark.slow),

@@ -136,8 +136,11 @@ def ipopt(
     "design",
     [
         pytest.param(NonlinearMPC(horizon=HORIZON, mu=0.3, r_delta=20.0), marks=pytest.mark.slow),
-        NonlinearMPC(
-            horizon=HORIZON, q_y_rate=0.3, q_psi_rate=0.7, q_psi=4.0, rate_max=0.1, delta_max=0.04, r_delta=100.0
+        pytest.param(
+            NonlinearMPC(
+                horizon=HORIZON, q_y_rate=0.3, q_psi_rate=0.7, q_psi=4.0, rate_max=0.1, delta_max=0.04, r_delta=100.0
+            ),
+            marks=pytest.mark.slow,
         ),
         NonlinearMPC(horizon=HORIZON, a_y_max=2.0, r_delta=100.0),
         pytest.param(NonlinearMPC(horizon=12, r_delta=100.0), marks=pytest.mark.slow),
@@ -263,7 +266,10 @@ def test_the_soft_limits_of_acceleration_and_jerk_bind() -> None:
     assert (held.metrics.jerk_peak < 5.01).all()
 
 
-@pytest.mark.parametrize(("soft", "size", "r_delta"), [({"e_y_max": 0.57}, 0.57, 1e4), ({"jerk_max": 4.0}, 4.0, 200.0)])
+@pytest.mark.parametrize(
+    ("soft", "size", "r_delta"),
+    [({"e_y_max": 0.57}, 0.57, 1e4), pytest.param({"jerk_max": 4.0}, 4.0, 200.0, marks=pytest.mark.slow)],
+)
 def test_corridor_and_jerk_bind_in_the_plan(soft: dict[str, float], size: float, r_delta: float) -> None:
     """Where the free plan breaks a limit that can be met, the plan with the limit meets it, to the QP's tolerance."""
     plant = Plant.build(BicycleModel(), [20.0, 28.0], DT)

@@ -152,7 +152,7 @@ def test_the_loop_with_arms_is_that_of_studies(driver: Driver, actuator: Actuato
 
 
 @pytest.mark.parametrize("driver", [GRIP, ARMS], ids=lambda driver: driver.model)
-@pytest.mark.parametrize("end", [0, 1])
+@pytest.mark.parametrize("end", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_margins_with_arms_are_those_of_python_control(driver: Driver, end: int) -> None:
     """The chain as transfer functions, sampled and closed by python-control; tolerance: its grid of frequencies."""
     dt, design = 0.05, PreviewProportional(K_y=-0.004, K_psi=-0.15, T_lp=2.0)

@@ -194,7 +194,7 @@ def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("short_pieces")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("block_bytes", [400, 5000, 20_000])
-@pytest.mark.parametrize("rate", [10, 25])
+@pytest.mark.parametrize("rate", [pytest.param(10, marks=pytest.mark.slow), 25])
 def test_a_long_recording_comes_in_pieces(kind: str, block_bytes: int, rate: int, save: Save) -> None:
     text = HEADER + lines("b", 0, 1) + wandering(4000, rate=rate) + lines("c", 0, 1)
     recordings, problems = read(save(text, kind), block_bytes=block_bytes)

@@ -187,7 +187,7 @@ def test_what_runs_the_fits_may_be_passed_in(departures):
         == fit_scenario_model(few, components=[1, 2], kind="mixture").content_hash
     )
     assert calls == []
-    fit_scenario_model(departures(2600), components=[1, 2], kind="mixture", n_init=1, max_iter=3, fit_each=fit_each)
+    fit_scenario_model(departures(2600), components=[1, 2], kind="mixture", n_init=1, max_iter=1, fit_each=fit_each)
     assert calls == [[2, 1], [2, 1]]
 
 

@@ -81,11 +81,11 @@ for name in sorted(order):
 """
 
 
-def numbers(order: str, cache: Path) -> str:
-    """What a process of its own prints."""
+def numbers(order: str, cache: Path | None = None) -> str:
+    """What a process of its own prints; without a cache for itself it takes what the tests have compiled."""
     run = subprocess.run(
         [sys.executable, "-c", PROGRAM, order],
-        env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
+        env=os.environ | ({"NUMBA_CACHE_DIR": str(cache)} if cache else {}),
         capture_output=True, text=True, check=False, timeout=900,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
@@ -95,11 +95,11 @@ def numbers(order: str, cache: Path) -> str:
 @pytest.mark.slow
 def test_no_number_depends_on_what_was_compiled_before(tmp_path: Path) -> None:
     """Compiled in one order or in the other, some of it by another process, or all of it: the same bits."""
-    forwards = numbers("forwards", tmp_path / "a")
+    forwards = numbers("forwards")
     assert len(forwards.splitlines()) == 6
-    assert numbers("stepped", tmp_path / "b") in forwards
-    assert numbers("backwards", tmp_path / "b") == forwards
-    assert numbers("forwards", tmp_path / "b") == forwards
+    assert numbers("stepped", tmp_path) in forwards
+    assert numbers("backwards", tmp_path) == forwards
+    assert numbers("forwards", tmp_path) == forwards
 
 
 SEED = 20240607

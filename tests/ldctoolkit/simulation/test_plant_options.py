@@ -191,7 +191,7 @@ QUICK = [
 
 
 @pytest.mark.parametrize(
-    ("case", "n", "known"), [*QUICK, *(pytest.param(case, 50, True, marks=pytest.mark.slow) for case in CASES)]
+    ("case", "n", "known"), [*QUICK, *(pytest.param(case, 25, True, marks=pytest.mark.slow) for case in CASES)]
 )
 def test_random_departures_equal_the_reference(case: str, n: int, known: bool) -> None:
     """S within 1e-5, states and steering angle within 1e-4 of their range; half of them under each law."""

@@ -275,8 +275,8 @@ def test_sanitizers_are_quiet_on_wild_inputs(name: str, folder: Path) -> None:
         )
     form = code.schedule.form
     bound = (form.sqp or form.mpc or {"iterations": 0})["iterations"] * (form.sqp or {"programs": 1})["programs"]
-    # a step of a predictive controller takes a thousand times as long as that of a linear law, of soft limits a hundred
-    steps = 10_000 if form.sqp else 30_000 if name == "mpc, soft" else 100_000
+    # a step of a predictive controller takes a hundred to a thousand times as long as that of a linear law
+    steps = 10_000 if form.sqp else 30_000 if form.mpc else 100_000
     driver = OF_DRIVER if name in SETUPS else ""
     (folder / "fuzz.c").write_text(HARNESS.format(steps=steps, fill="\n".join(fill), bound=bound, driver=driver))
     sanitizers = ("-g", "-O1", "-fsanitize=undefined,address,float-cast-overflow", "-fno-sanitize-recover=all")

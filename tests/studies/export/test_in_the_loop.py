@@ -62,7 +62,10 @@ def compared(controller: Controller, setup: Setup, y_s: float = 0.1, n: int = 12
     return result
 
 
-@pytest.mark.parametrize("name", LAWS)
+QUICK = ("lqi", "pid", "barrier around lqr", "mpc, soft", "table")  # in the shorter tier
+
+
+@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(x, marks=pytest.mark.slow) for x in LAWS if x not in QUICK)])
 def test_every_law_on_the_realistic_plant(name: str) -> None:
     result = compared(LAWS[name], REALISTIC)
     assert (result.iterations > 0) == name.startswith("mpc")
@@ -118,7 +121,7 @@ SETUPS = {
 FAST = {
     ("mpc, soft", "ideal plant"),
     ("barrier around lqr", "delay of a part of a sample"),  # looks back further than its terms do
-    *(("lqi", setup) for setup in SETUPS),
+    *(("lqi", setup) for setup in ("a window that is no whole number of samples", "a slow camera", "trigger by time")),
 }
 CASES = [
     pytest.param(name, setup, marks=() if (name, setup) in FAST else pytest.mark.slow)
@@ -152,7 +155,7 @@ def with_driver(driver: Driver, actuator: Actuator = REALISTIC.options.actuator,
 @pytest.mark.parametrize(
     ("name", "setup"),
     [
-        ("lqi", with_driver(HELD, dt=0.02)),
+        pytest.param("lqi", with_driver(HELD, dt=0.02), marks=pytest.mark.slow),
         ("pid", with_driver(ARMS, LATE)),
         pytest.param("pid", with_driver(HELD, LATE, dt=0.03), marks=pytest.mark.slow),
         pytest.param("lqi", with_driver(ARMS, LATE), marks=pytest.mark.slow),
@@ -362,11 +365,11 @@ PREDICTIVE: dict[str, Controller] = {
 @pytest.mark.parametrize(
     ("name", "setup", "n"),
     [
-        ("nonlinear", "realistic", 30),
-        *(pytest.param(name, "realistic", 60, marks=SLOW_TIER) for name in list(PREDICTIVE)[1:-1]),
-        *(pytest.param(name, "ideal plant", 60, marks=SLOW_TIER) for name in ("limited", "slow")),
-        pytest.param("corridor", "a window that is no whole number of samples", 60, marks=SLOW_TIER),
-        pytest.param("slow", "delay without lag", 60, marks=SLOW_TIER),
+        ("nonlinear", "realistic", 10),
+        *(pytest.param(name, "realistic", 30, marks=SLOW_TIER) for name in list(PREDICTIVE)[1:-1]),
+        *(pytest.param(name, "ideal plant", 30, marks=SLOW_TIER) for name in ("limited", "slow")),
+        pytest.param("corridor", "a window that is no whole number of samples", 30, marks=SLOW_TIER),
+        pytest.param("slow", "delay without lag", 30, marks=SLOW_TIER),
     ],
 )
 def test_predictive_controllers(name: str, setup: str, n: int) -> None:
@@ -415,7 +418,7 @@ def test_predictive_controllers_from_wild_states(name: str) -> None:
     assert (apart <= 1e-7).mean() > (0.98 if soft else 0.999)
 
 
-@pytest.mark.parametrize("law", [Fading(), Rooted()])
+@pytest.mark.parametrize("law", [pytest.param(Fading(), marks=pytest.mark.slow), Rooted()])
 def test_weights_of_0_and_limits_that_are_no_numbers(law: Controller) -> None:
     """Which only the lane makes them: no limit; a failed solve."""
     setup = Setup(options=PlantOptions(actuator=Actuator(delay=0.05)))

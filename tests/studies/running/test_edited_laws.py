@@ -145,7 +145,12 @@ EDITS: dict[str, Callable[[Folder, float], type[ldc.Controller]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+QUICK = ("closure", "compiled", "frozen object", "property")  # in the shorter tier
+
+
+@pytest.mark.parametrize(
+    "edit", [pytest.param(edit, id=x, marks=() if x in QUICK else pytest.mark.slow) for x, edit in EDITS.items()]
+)
 def test_an_edit_runs_that_law_again_and_no_other(
     edit: Callable[[Folder, float], type[ldc.Controller]],
     folder: Folder,

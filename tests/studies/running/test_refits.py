@@ -135,7 +135,9 @@ def test_a_file_of_version_4_is_read_without_departures(smooth: ScenarioModel, t
 # ------------------------------------------------------------------------------------------------ refits
 
 
-@pytest.mark.parametrize("settings", [{"kind": "smoothed"}, {"components": 1}, {"components": 2}])
+@pytest.mark.parametrize(
+    "settings", [{"kind": "smoothed"}, *(pytest.param({"components": K}, marks=pytest.mark.slow) for K in (1, 2))]
+)
 def test_refits_spread_as_the_mean_over_clusters_does(settings: dict[str, Any]) -> None:
     """The mean depth of a model is nearly that of the departures, whose error over whole trips has a formula."""
     model = fit_scenario_model(RECORDED, **settings)
