@@ -161,7 +161,7 @@ def test_terminal_page_and_study_say_that_a_model_is_bad(bad: ScenarioModel, tmp
         'name = "s"\n[scenarios]\nmodel = "m.json"\nleft = 8\nright = 8\n[[design]]\nlaw = "none"\n'
         '[[design]]\nlaw = "lqr"\n'
     )
-    run = ldc("run", "s.toml", "-o", "out", "--no-robustness", cwd=tmp_path)
+    run = ldc("run", "s.toml", "-o", "out", "--no-robustness", "--refits", "0", cwd=tmp_path)
     assert run.returncode == 0
     assert f"ldc: warning: scenario model, left: {text}" in run.stderr
     assert "Scenarios: Scenario model, left: the model" in run.stdout
@@ -178,7 +178,7 @@ def test_a_model_of_an_earlier_version_says_nothing(fine: ScenarioModel, tmp_pat
         'name = "s"\n[scenarios]\nmodel = "m.json"\nleft = 8\nright = 8\n[[design]]\nlaw = "none"\n'
         '[[design]]\nlaw = "lqr"\n'
     )
-    run = ldc("run", "s.toml", "-o", "out", "--no-robustness", cwd=tmp_path)
+    run = ldc("run", "s.toml", "-o", "out", "--no-robustness", "--refits", "0", cwd=tmp_path)
     assert (run.returncode, run.stderr) == (0, "")
     assert "The model does not say whether it gives its recordings" in (tmp_path / "out" / "report.html").read_text()
 
@@ -187,7 +187,7 @@ def test_a_condition_outside_the_data_is_warned_of_with_their_range(fine: Scenar
     fine.save(tmp_path / "m.json")
     study = '[scenarios]\nmodel = "m.json"\nleft = 8\nright = 8\ngiven = {v_mean = [24.0, 40.0]}\n'
     (tmp_path / "s.toml").write_text(f'name = "s"\n{study}[[design]]\nlaw = "none"\n')
-    run = ldc("run", "s.toml", "-o", "out", "--no-robustness", cwd=tmp_path)
+    run = ldc("run", "s.toml", "-o", "out", "--no-robustness", "--refits", "0", cwd=tmp_path)
     match = re.search(
         r"given v_mean from 24 to 40 m/s: outside the fitted departures \(left\), of which 93 % lie from ([\d.]+) to "
         r"([\d.]+); "

@@ -365,7 +365,7 @@ PREDICTIVE: dict[str, Controller] = {
 @pytest.mark.parametrize(
     ("name", "setup", "n"),
     [
-        ("nonlinear", "realistic", 10),
+        pytest.param("nonlinear", "realistic", 30, marks=SLOW_TIER),
         *(pytest.param(name, "realistic", 30, marks=SLOW_TIER) for name in list(PREDICTIVE)[1:-1]),
         *(pytest.param(name, "ideal plant", 30, marks=SLOW_TIER) for name in ("limited", "slow")),
         pytest.param("corridor", "a window that is no whole number of samples", 30, marks=SLOW_TIER),
