@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import ldctoolkit.compiling as compiling
 from ldctoolkit.declared import UnitWarning
 from ldctoolkit.deprecation import LdcDeprecationWarning
-from ldctoolkit.errors import LdcError
+from ldctoolkit.errors import LdcError, closest
 from ldctoolkit.surroundings import sweep
 from ldctoolkit.version import __version__
 
@@ -25,6 +25,15 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """One line, as for any other wrong input."""
         self.exit(2, f"ldc: error: {message} (see {self.prog} --help)\n")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """What is left over is an error of the command that it follows, with its nearest option."""
+        namespace, rest = super().parse_known_args(args, namespace)
+        if rest:
+            options = [name for name, action in self._option_string_actions.items() if action.help != argparse.SUPPRESS]
+            close = closest(rest[0].partition("=")[0], options)
+            self.error(f"unrecognized argument {rest[0]!r}{f': did you mean {close}?' if close else ''}")
+        return namespace, rest
 
 
 def parser() -> argparse.ArgumentParser:
