@@ -437,7 +437,8 @@ class MPCLaw(SteeringLaw):
             past = np.concatenate([state.past, now.repeat(2, axis=1)], axis=2)
             if np.isnan(past).any():
                 past = np.where(np.isnan(past), now, past)
-        return InitialState(full, delta_prev, sent, np.ascontiguousarray(r), past)
+        # arrays laid out in another way would have the kernel compiled once more
+        return InitialState(full, np.ascontiguousarray(delta_prev), sent, np.ascontiguousarray(r), past)
 
     def _acceleration(self, x: FloatArray, u: FloatArray, r: FloatArray) -> FloatArray:
         """A of now with the command u [m/s^2]."""

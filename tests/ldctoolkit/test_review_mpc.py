@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import ldctoolkit as ldc
-from helpers.closed_loop import Prepared
-from ldctoolkit import BicycleModel, LinearSteps, Plant, PredictiveController, Preview, Soft, Stage, gain
+from helpers.closed_loop import Prepared, make_scenarios
+from ldctoolkit import BicycleModel, LinearSteps, Plant, PredictiveController, Preview, Soft, Stage, gain, simulate
 from ldctoolkit.controllers import LQR, PID, LinearMPC, NonlinearMPC
+from ldctoolkit.controllers._mpc_kernel import sweep
 from ldctoolkit.plant_options import Actuator, PlantOptions, Sensors
 from ldctoolkit.review import design_margins, review
 from ldctoolkit.review.law_model import linear_view
@@ -162,6 +163,14 @@ def test_a_kink_at_straight_driving_has_a_sentence_and_no_margins(kind: str, lin
     if kinks:
         assert (kinks[0].severity, kinks[0].allowed) == ("warning", 0.02)
         assert kinks[0].value > 0.02
+
+
+def test_a_review_compiles_nothing_that_a_drive_has_compiled() -> None:
+    """Arrays of another layout, such as a column of a table, would have the kernel compiled once more."""
+    simulate(LinearMPC(), make_scenarios(4))
+    before = [*sweep.signatures]
+    review(LinearMPC(r_delta=200.0), speeds=[20.0, 30.0])
+    assert [*sweep.signatures] == before
 
 
 def test_margins_of_a_formulation_for_rankings() -> None:
