@@ -411,7 +411,7 @@ def test_acceleration_and_jerk_stay_within_their_limits(solver: str, actuator: A
 
 @pytest.mark.parametrize(
     ("n", "lag", "delay"),
-    [(30, 0.1, 0.1), *(pytest.param(1000, *actuator, marks=pytest.mark.slow) for actuator in ((0.1, 0.1), (0.0, 0.0)))],
+    [(30, 0.1, 0.1), *(pytest.param(300, *actuator, marks=pytest.mark.slow) for actuator in ((0.1, 0.1), (0.0, 0.0)))],
 )
 def test_jerk_of_reference_departures_stays_within_its_limit(n: int, lag: float, delay: float) -> None:
     """Wherever a linear program finds commands that keep it, whatever the takeover does to a_y; 1 % for the kink at T.

@@ -134,9 +134,9 @@ def test_intervals_hold_the_truth() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_intervals_hold_the_truth_in_19_of_20(rho: float) -> None:
-    hits = coverage(range(100, 200), rho)
-    assert min(hits.values()) >= 86, hits
-    assert sum(hits.values()) >= 8 * 91, hits
+    hits = coverage(range(100, 150), rho)
+    assert min(hits.values()) >= 42, hits
+    assert sum(hits.values()) >= 4 * 91, hits
 
 
 def test_another_codes_neutral_vehicle_is_told_up_to_a_factor() -> None:

@@ -144,10 +144,10 @@ def test_intervals_hold_as_often_as_they_say(times: np.ndarray) -> None:
 
 @pytest.mark.slow
 def test_winners_that_break_a_limit_in_truth_are_not_certain() -> None:
-    """A fine sweep about a limit, 500 + 500 departures, 200 times: S falls as the jerk rises, so the winner is near."""
+    """A fine sweep about a limit, 500 + 500 departures, 100 times: S falls as the jerk rises, so the winner is near."""
     generator, scale = np.random.default_rng(0), np.linspace(0.9, 1.1, 41)
     designs = tuple(Design.of(LQR(r_delta=100.0 + k), 0.1) for k in range(41))
-    broken, amber = np.zeros(200, dtype=np.bool_), np.zeros(200, dtype=np.bool_)
+    broken, amber = np.zeros(100, dtype=np.bool_), np.zeros(100, dtype=np.bool_)
 
     def driven() -> StudyResults:
         jerk = 5.0 / scipy.stats.gamma(4.0).ppf(0.95) * generator.gamma(4.0, 1.0, 500)
@@ -155,7 +155,7 @@ def test_winners_that_break_a_limit_in_truth_are_not_certain() -> None:
         S = (2.0 - scale[:, None]) * generator.gamma(9.0, 0.1, 500)
         return results_of(S, designs, metrics=columns)
 
-    for k in range(200):
+    for k in range(100):
         ranking = ranked(driven(), "comfort", fresh=driven())
         if ranking.winner is not None:
             broken[k] = scale[ranking.index[ranking.winner]] > 1.0

@@ -286,16 +286,16 @@ def test_the_first_screen_says_what_is_open(smooth: ScenarioModel, tmp_path: Pat
 
 @pytest.mark.slow
 def test_the_interval_of_the_recordings_covers_the_answer_of_the_population() -> None:
-    """40 sets of 240 departures in 25 unequal trips: reduction and difference of the pool lie within in 34 and more.
+    """20 sets of 240 departures in 25 unequal trips: reduction and difference of the pool lie within in 16 and more.
 
-    Of a 95 % interval, fewer would be seen once in 150; measured were 40 (S) and 38 (reduction).
+    Of a 95 % interval, fewer would be seen once in 390; of 40 sets, 40 (S) and 38 (reduction) were measured.
     """
     study = ldc.study(ldc.NoControl, ldc.LQR, name="coverage", left=300, right=300)
     truth = ldc.rank_study(ldc.run_study(study, scenarios=POOL, workers=2, refits=0), study)
     place = next(i for i, design in enumerate(truth.designs) if not design.is_baseline)
     reduction, S = truth.metrics.reduction[place], truth.metrics.S[place]
     within = np.zeros(2)
-    for seed in range(40):
+    for seed in range(20):
         model = fit_scenario_model(trips(120, 25, 0.15, seed=100 + seed), kind="smoothed")
         ranking = ldc.rank_study(ldc.run_study(study, model=model, workers=2), study)
         found, i = ranking.recordings, next(i for i in range(2) if not ranking.designs[i].is_baseline)
@@ -306,4 +306,4 @@ def test_the_interval_of_the_recordings_covers_the_answer_of_the_population() ->
         j = next(j for j in range(2) if not answer.designs[j].is_baseline)
         gaps = abs(answer.metrics.S[j] - S), abs(answer.metrics.reduction[j] - reduction)
         within += np.array(gaps) <= np.array(half)
-    assert (within >= 34).all()
+    assert (within >= 16).all()

@@ -80,7 +80,7 @@ def fuzz_bytes(reader: str, examples: int) -> Outcomes:
 
 
 FUZZ = {"damaged": fuzz_damaged_files, "bytes": fuzz_bytes}
-FAST, SLOW = {"damaged": 20, "bytes": 8}, {"damaged": 600, "bytes": 500}
+FAST, SLOW = {"damaged": 20, "bytes": 8}, {"damaged": 300, "bytes": 300}
 
 
 def check_outcomes(kind: str, outcomes: Outcomes, examples: int) -> None:
