@@ -283,12 +283,13 @@ def test_sanitizers_are_quiet_on_wild_inputs(name: str, folder: Path) -> None:
     driver = OF_DRIVER if name in SETUPS else ""
     (folder / "fuzz.c").write_text(HARNESS.format(steps=steps, fill="\n".join(fill), bound=bound, driver=driver))
     sanitizers = ("-g", "-O1", "-fsanitize=undefined,address,float-cast-overflow", "-fno-sanitize-recover=all")
-    for checks, precision, fast in (
+    builds: tuple[tuple[tuple[str, ...], ...], ...] = (
         (sanitizers, (), ()),
         (sanitizers, ("-DLDC_USE_FLOAT",), ()),
         ((), (), ("-O3", "-ffast-math")),
         ((), ("-DLDC_USE_FLOAT",), ("-O3", "-ffast-math")),
-    ):
+    )
+    for checks, precision, fast in builds[::3] if form.sqp else builds:  # its long code takes long to compile
         for arguments in (
             [*fast, "-c", *sources(folder)],
             ["fuzz.c", *(name.replace(".c", ".o") for name in sources(folder)), "-lm", "-o", "fuzz"],
@@ -300,7 +301,7 @@ def test_sanitizers_are_quiet_on_wild_inputs(name: str, folder: Path) -> None:
         armed, active, released, bad, handed_over, *states = map(int, done.stdout.split())
         assert (min(states) > 100) == (name in SETUPS)
         assert armed + active + released == steps
-        assert min(armed, active, released, bad, handed_over) > 100
+        assert min(armed, active, released, bad, handed_over) > steps // 200
 
 
 # ------------------------------------------------------------------------------------------------ held outputs
