@@ -111,7 +111,7 @@ def steps(page: str) -> Iterator[tuple[str, str]]:
     text = (ROOT / page).read_text(encoding="utf-8")
     for kind, block in re.findall(r"^```([^\n]*)\n(.*?)^```", text, flags=re.M | re.S):
         if kind in ("python", "{code-cell} ipython3"):
-            yield "python", block
+            yield "python", re.sub(r"\A---\n.*?^---\n", "", block, flags=re.M | re.S)  # how a cell is shown
         elif kind in ("", "console"):
             lines = (line.removeprefix("$ ") for line in block.splitlines())
             yield from (("ldc", line) for line in lines if line.startswith("ldc "))
@@ -159,6 +159,8 @@ def _run_command(line: str, folder: Path) -> None:
     done = ldc(*words, cwd=folder)
     assert done.returncode in (0, 3), (line, done.stderr[-2000:])  # 3: done, and something is to be looked at
     if target:
-        (folder / target).write_text(done.stdout, encoding="utf-8")
+        file = folder / target.removeprefix("~/")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(done.stdout, encoding="utf-8")
         if target in CORRECTED:
             STAND_INS[target](folder / target)
