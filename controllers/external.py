@@ -126,8 +126,9 @@ def design_of(base: dict[str, Any], path: Path, kind: str, name: str, gains: Ite
         raise InputError("name", value=name, allowed="letters, digits and '_'")
     title = f"{name.replace('_', ' ').capitalize()} ({kind})"
     # not importable: the class is pickled by value and identified by its content
-    names = {"name": name, "title": title, "__doc__": f"{title}.", "__module__": "external_controllers", **base}
+    names = {"name": name, "title": title, "__doc__": f"{title}.", **base}
     made = dataclasses.make_dataclass(name, gains, bases=(ExternalController,), namespace=names, frozen=True)
+    made.__module__ = "external_controllers"  # from 3.12 on it would be that of the caller
     return made()  # type: ignore[no-any-return]
 
 

@@ -84,7 +84,7 @@ def from_opti(
     name, shared = build.__name__, {declared.name: declared for declared in NonlinearMPC.gains()}
     attributes = {"name": name, "title": name.replace("_", " ").capitalize(), "build": staticmethod(build)}
     attributes |= {"options": {solver: dict(options or {})}, "__doc__": build.__doc__ or f"{name}."}
-    attributes |= {"__module__": build.__module__, "__qualname__": build.__qualname__}
+    attributes |= {"__qualname__": build.__qualname__}
     chosen = option(solver, choices=None, description="NLP solver of CasADi")
     fields: list[tuple[str, Any, Any]] = [("solver", str, chosen)]
     for key, default in ((p.name, p.default) for p in inspect.signature(build).parameters.values()):
@@ -105,7 +105,9 @@ def from_opti(
             fields.append((key, type(default), gain(default, unit="1", description=f"argument of {name}")))
     if "horizon" not in (key for key, *_ in fields):
         raise InputError(f"{name}.horizon", "no such argument", hint="add horizon=20 to those of the function")
-    return dataclasses.make_dataclass(name, fields, bases=(OptiController,), namespace=attributes, frozen=True)
+    made = dataclasses.make_dataclass(name, fields, bases=(OptiController,), namespace=attributes, frozen=True)
+    made.__module__ = build.__module__  # an identity by content; from 3.12 on it would be this module
+    return made
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,6 +15,7 @@ from helpers.bits import assert_same_bits
 from helpers.closed_loop import mpc_situations
 from helpers.errors import refused
 from ldctoolkit import EventStatus, Preview, Scenarios, registry, simulate
+from ldctoolkit.code_content import content_of
 from ldctoolkit.controllers.riccati import regulator
 from ldctoolkit.errors import UnknownNameError
 from ldctoolkit.testing import CHECKS, ContractSettings, contract_faults
@@ -227,6 +228,19 @@ def test_gains_are_parameters_of_one_problem_and_declared_as_any() -> None:
         np.testing.assert_allclose(first(kind(r=r), 2)[0], 0.02 / (1 + r), atol=1e-7)
     np.testing.assert_allclose(first(kind(r=3.0, ends=False), 2)[0], 0.02, atol=1e-7)
     assert built == [(5, True), (5, False)]
+
+
+def test_its_content_is_that_of_its_function() -> None:
+    def problem(target: float) -> Any:
+        def build(opti, horizon=3):  # type: ignore[no-untyped-def]
+            U = opti.variable(horizon)
+            opti.minimize(ca.sumsqr(U - target))
+            return U
+
+        return ldc.from_opti(build)
+
+    first, other, again = (content_of(problem(target)) for target in (0.01, 0.02, 0.01))
+    assert first == again not in ("", other)
 
 
 def commands(opti: Any, horizon: int = 3) -> Any:
