@@ -84,7 +84,7 @@ def from_opti(
     name, shared = build.__name__, {declared.name: declared for declared in NonlinearMPC.gains()}
     attributes = {"name": name, "title": name.replace("_", " ").capitalize(), "build": staticmethod(build)}
     attributes |= {"options": {solver: dict(options or {})}, "__doc__": build.__doc__ or f"{name}."}
-    attributes |= {"__qualname__": build.__qualname__}
+    attributes["__qualname__"] = build.__qualname__
     chosen = option(solver, choices=None, description="NLP solver of CasADi")
     fields: list[tuple[str, Any, Any]] = [("solver", str, chosen)]
     for key, default in ((p.name, p.default) for p in inspect.signature(build).parameters.values()):
