@@ -322,7 +322,7 @@ def fit_components(
     except np.linalg.LinAlgError:
         raise InputError(
             "X",
-            "the likelihood has no maximum, a component shrinks onto too few distinct events with "
+            "the likelihood has no maximum, a component shrinks onto too few distinct events or onto a plane with "
             f"K = {s.n_components}, prior_strength = {s.prior_strength:g}",
             hint="raise prior_strength or fit fewer components",
         ) from None

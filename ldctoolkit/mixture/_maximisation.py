@@ -28,6 +28,11 @@ _VALID_HALVINGS: Final = 40
 _LEAST_PRECISION: Final = 0.1
 """A Newton step leaves at least this share of every whitened precision; the next goes further."""
 
+_LEAST_SPREAD: Final = 1e-13
+"""Least variance in any direction over the second moment of a component's events and pseudo-events: what rounding
+leaves of a difference of moments. Below it the events of a component are too few, or in a plane: Sigma shrinks for
+ever and the likelihood with it rises. Whether a solver calls such a matrix singular is chance."""
+
 Path = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """From step lengths t (K,), zero where the component stays, to means and covariances."""
 
@@ -89,7 +94,14 @@ def objective(stats: Statistics, prior: Prior, t: TruncatedNormal) -> FloatArray
 
 
 def maximise(stats: Statistics, prior: Prior, now: TruncatedNormal, points: int) -> tuple[TruncatedNormal, BoolArray]:
-    """New components; those whose objective cannot be raised stay as they are."""
+    """New components; those whose objective cannot be raised stay as they are.
+
+    Raises LinAlgError where the covariance of a component's events and pseudo-events is singular.
+    """
+    covariance, mean = _with_prior(stats.scatter, stats, prior), stats.mean
+    size = np.trace(covariance, axis1=1, axis2=2) + np.einsum("ki,ki->k", mean, mean)
+    if not np.all(np.linalg.eigvalsh(covariance)[:, 0] > _LEAST_SPREAD * size):
+        raise np.linalg.LinAlgError("the events of a component have no spread in some direction")
     before = objective(stats, prior, now)
     order = now.box.order if now.box is not None else None
     result = now
@@ -152,11 +164,15 @@ def _usable(trial: TruncatedNormal, now: TruncatedNormal, rows: IntArray) -> Boo
     return good & (np.isfinite(trial.box.log_peak) | ~np.isfinite(now.box.log_peak[rows]))
 
 
+def _with_prior(covariance: FloatArray, stats: Statistics, prior: Prior) -> FloatArray:
+    """A covariance (K, d, d) of the events of each component, with the pseudo-events added."""
+    n = stats.counts[:, None, None]
+    return np.asarray((n * covariance + prior.strength * prior.covariance) / np.maximum(n + prior.strength, 1e-300))
+
+
 def _fixed_point(stats: Statistics, prior: Prior, now: TruncatedNormal) -> tuple[FloatArray, Path]:
     """The step of Lee and Scott: the difference of the moments of data and model, as a line in mean and covariance."""
-    n = stats.counts[:, None, None]
-    plain = n * (now.Sigma + stats.scatter - now.covariance)
-    full = (plain + prior.strength * prior.covariance) / np.maximum(n + prior.strength, 1e-300)
+    full = _with_prior(now.Sigma + stats.scatter - now.covariance, stats, prior)
 
     def path(t: FloatArray) -> tuple[FloatArray, FloatArray]:
         return now.mu + t[:, None] * (stats.mean - now.mean), now.Sigma + t[:, None, None] * (full - now.Sigma)
@@ -173,13 +189,11 @@ def _newton(stats: Statistics, prior: Prior, now: TruncatedNormal, held: bool) -
     """
     b = now.bounded
     f = np.setdiff1d(np.arange(now.mu.shape[1]), b)
-    n, n0 = stats.counts, prior.strength
     # open dimensions given the bounded ones: weighted least squares with the pseudo-events' cross products added
-    total = np.maximum(n + n0, 1e-300)[:, None, None]
-    C = (n[:, None, None] * stats.scatter + n0 * prior.covariance) / total
+    C = _with_prior(stats.scatter, stats, prior)
     slope = np.asarray(np.linalg.solve(C[:, b[:, None], b], C[:, b[:, None], f]).transpose(0, 2, 1), dtype=float)
     rest = C[:, f[:, None], f] - slope @ C[:, b[:, None], f]
-    trusted = np.ones(n.size)
+    trusted = np.ones(stats.counts.size)
     if b.size:
         G, a, M = _newton_direction(stats, prior, now, held)
         largest = np.linalg.eigvalsh(M)[:, -1]

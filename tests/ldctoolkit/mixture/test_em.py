@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr
 
 from helpers.bits import examples
+from helpers.errors import refused
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture, TruncatedNormal, _em
 from ldctoolkit.mixture._distribution import Components, log_terms, natural, shares
@@ -429,6 +430,33 @@ def test_density_piled_up_at_a_bound_without_a_prior(name, d, n, K):
         assert error.hint == "raise prior_strength or fit fewer components"  # noqa: PT017
     else:
         check_sound(model, X)
+
+
+ON_FEW_EVENTS = {  # rows of 60 that are made of others, and what of them
+    "same": lambda X: X[np.where(np.arange(60) < 40, 0, np.arange(60))],
+    "two": lambda X: X[np.where(np.arange(60) < 40, np.arange(60) % 2, np.arange(60))],
+    "three": lambda X: X[np.where(np.arange(60) < 40, np.arange(60) % 3, np.arange(60))],
+    "plane": lambda X: np.column_stack([X[:, :2], 0.3 * X[:, 0] - X[:, 1]]),
+}
+
+
+@pytest.mark.parametrize("case", ON_FEW_EVENTS)
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+def test_without_a_prior_no_component_shrinks_for_ever(case, scale):
+    """Whether a singular matrix is called so is chance of the linear algebra library; the refusal must not be."""
+    X = scale * (ON_FEW_EVENTS[case](np.random.default_rng(1).normal(size=(60, 3))) + 2.0)
+    with refused("X", hint="raise prior_strength or fit fewer components"):
+        fitted(X, 2, prior_strength=0.0, lower=-9.0 * scale, upper=9.0 * scale)
+    check_sound(fitted(X, 2, lower=-9.0 * scale, upper=9.0 * scale), X)
+
+
+def test_without_a_prior_a_narrow_group_of_distinct_events_is_a_component():
+    """Narrow by 1e-4 of the data's spread, and correlated by all but 1e-4."""
+    X = np.random.default_rng(0).normal(size=(400, 2))
+    X[:200] = 1e-4 * X[:200] @ np.array([[1.0, 1.0], [0.0, 1e-2]])
+    model = fitted(X, 2, prior_strength=0.0, lower=-9.0, upper=9.0)
+    narrow = np.argmin(model.covariances_[:, 0, 0])
+    np.testing.assert_allclose(model.covariances_[narrow], np.cov(X[:200].T, bias=True), rtol=1e-2)
 
 
 def best_of_one_dimension(x, n0):
