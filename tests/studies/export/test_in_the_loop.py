@@ -365,11 +365,11 @@ PREDICTIVE: dict[str, Controller] = {
 @pytest.mark.parametrize(
     ("name", "setup", "n"),
     [
-        pytest.param("nonlinear", "realistic", 30, marks=SLOW_TIER),
-        *(pytest.param(name, "realistic", 30, marks=SLOW_TIER) for name in list(PREDICTIVE)[1:-1]),
-        *(pytest.param(name, "ideal plant", 30, marks=SLOW_TIER) for name in ("limited", "slow")),
-        pytest.param("corridor", "a window that is no whole number of samples", 30, marks=SLOW_TIER),
-        pytest.param("slow", "delay without lag", 30, marks=SLOW_TIER),
+        pytest.param("nonlinear", "realistic", 15, marks=SLOW_TIER),
+        *(pytest.param(name, "realistic", 15, marks=SLOW_TIER) for name in list(PREDICTIVE)[1:-1]),
+        *(pytest.param(name, "ideal plant", 15, marks=SLOW_TIER) for name in ("limited", "slow")),
+        pytest.param("corridor", "a window that is no whole number of samples", 15, marks=SLOW_TIER),
+        pytest.param("slow", "delay without lag", 15, marks=SLOW_TIER),
     ],
 )
 def test_predictive_controllers(name: str, setup: str, n: int) -> None:
