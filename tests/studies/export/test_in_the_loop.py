@@ -362,19 +362,19 @@ PREDICTIVE: dict[str, Controller] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "setup", "n"),
+    ("name", "setup"),
     [
-        pytest.param("nonlinear", "realistic", 15, marks=SLOW_TIER),
-        *(pytest.param(name, "realistic", 15, marks=SLOW_TIER) for name in list(PREDICTIVE)[1:-1]),
-        *(pytest.param(name, "ideal plant", 15, marks=SLOW_TIER) for name in ("limited", "slow")),
-        pytest.param("corridor", "a window that is no whole number of samples", 15, marks=SLOW_TIER),
-        pytest.param("slow", "delay without lag", 15, marks=SLOW_TIER),
+        *((name, "realistic") for name in list(PREDICTIVE)[:-1]),
+        *((name, "ideal plant") for name in ("limited", "slow")),
+        ("corridor", "a window that is no whole number of samples"),
+        ("slow", "delay without lag"),
     ],
 )
-def test_predictive_controllers(name: str, setup: str, n: int) -> None:
+def test_predictive_controllers(name: str, setup: str) -> None:
     code = Code.of(PREDICTIVE[name], REALISTIC if setup == "realistic" else SETUPS[setup], 0.1)
-    result, sizes = check(record(code, make_scenarios(n, 5)), ["cc"]), code.schedule.form.sqp or {}
+    result, sizes = check(record(code, make_scenarios(15, 5)), ["cc"]), code.schedule.form.sqp or {}
     assert result.passed
     assert result.steps > 20 * (result.departures - result.diverged) > 0
     assert max(result.delta, result.S) <= 1e-7
