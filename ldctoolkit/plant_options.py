@@ -5,10 +5,11 @@ state the law sees as it is. Every option here takes one of these idealisations 
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 from ldctoolkit.declared import check_declared, checked_number, declarations, declared, short_repr, warn_of_units
 from ldctoolkit.errors import CheckedArguments, InputError
@@ -36,7 +37,14 @@ class _Options(CheckedArguments):
     @property
     def ideal(self) -> bool:
         """Nothing differs from the ideal plant."""
-        return self == type(self)()
+        kind: type = type(self)
+        return bool(self == _ideal(kind))
+
+
+@functools.cache
+def _ideal(options: type) -> Any:
+    """Options of a class that are all off."""
+    return options()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
