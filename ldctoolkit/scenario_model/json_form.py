@@ -158,7 +158,8 @@ def parts_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel,
 def _shares(text: Any) -> Any:
     """The shares of a pair's cells; what is not a text of whole numbers stays, for the check to refuse it."""
     cells = text.split() if isinstance(text, str) else []
-    return list(map(int, cells)) if all(cell.isascii() and cell.isdigit() for cell in cells) and cells else str(text)
+    digits = "".join(cells)
+    return list(map(int, cells)) if digits.isascii() and digits.isdigit() else str(text)
 
 
 class _Side(Part):
