@@ -12,9 +12,11 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import LdcError
 from ldctoolkit.scenario_model import Given, ScenarioModel
 from ldctoolkit.scenario_model.refit import NOT_KEPT, refit, uncertainty
+from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover, Window
 
@@ -27,7 +29,7 @@ from .campaign import laws_to_send
 from .dispatch import Executor, Lost, Progress, Work, run_works
 from .tasks import drive_each, learn
 
-_LEAST, _MOST = 1000, 4000  # departures of a half
+_LEAST, _ENOUGH, _MOST = 300, 1000, 4000  # departures of a draw
 _OF_SLOW: Final = 100  # of a law whose batches are small
 _USUAL_BATCH, _SLOW_BATCH = 1000, 100  # with smaller ones than the second no law is driven again
 _STREAM: Final = 0x72656373  # keeps these departures apart from those that designs were chosen on
@@ -59,15 +61,17 @@ class RefitTask(Work):
     def run(self, cache: dict[str, Any]) -> FloatArray:  # noqa: ARG002
         """Mean S of each design and then without control, of both draws: (designs + 1, 2); NaN where it failed."""
         try:
-            again = refit(self.model, self.refit)
-            return np.stack([self._means(again, draw) for draw in range(2)], axis=1)
+            return self._means(refit(self.model, self.refit))
         except (LdcError, np.linalg.LinAlgError):
             return np.full((len(self.designs) + 1, 2), np.nan)  # counted as failed
 
-    def _means(self, model: ScenarioModel, draw: int) -> FloatArray:
-        seed = int(np.random.SeedSequence([self.setup.seed, _STREAM, draw]).generate_state(1, np.uint64)[0] >> 1)
-        drawn = model.sample(*self.counts, seed=seed, given=self.given)
-        drawn = dataclasses.replace(drawn, index=np.arange(drawn.n) + draw * drawn.n)
+    def _means(self, model: ScenarioModel) -> FloatArray:
+        sequences = (np.random.SeedSequence([self.setup.seed, _STREAM, draw]) for draw in range(2))
+        seeds = (int(sequence.generate_state(1, np.uint64)[0] >> 1) for sequence in sequences)
+        draws = [model.sample(*self.counts, seed=seed, given=self.given) for seed in seeds]
+        # both in one go: a law that is called sample by sample is called half as often
+        names = ("side", *PARAMETER_NAMES)
+        drawn = Scenarios.drawn(**{name: np.concatenate([getattr(draw, name) for draw in draws]) for name in names})
         columns = []
         for design in self.designs:
             (run,) = drive_each([design], Takeover.build(drawn, self.setup, y_s=design.y_s), self.setup.convention)
@@ -76,8 +80,8 @@ class RefitTask(Work):
             outcome = run.outcome(self.window)
             S, without = outcome.S, outcome.S_uncorrected
             columns += [np.where(status_among(outcome.status, FAILED_STATUSES), np.maximum(S, without), S)]
-        scores = np.stack([*columns, without])
-        return np.asarray(scores[:, np.isfinite(scores).all(axis=0)].mean(axis=1))
+        halves = np.split(np.stack([*columns, without]), 2, axis=1)
+        return np.stack([half[:, np.isfinite(half).all(axis=0)].mean(axis=1) for half in halves], axis=1)
 
 
 def scores_of_refits(
@@ -97,11 +101,13 @@ def scores_of_refits(
     if recorded is not None and batch < _SLOW_BATCH:
         text = "its law takes too long to be driven on refits of the model"
     elif recorded is not None:
-        half = min(max(_LEAST, len(recorded.side)), _MOST) if batch >= _USUAL_BATCH else _OF_SLOW
-        left, right = (math.ceil(half * count / sum(study.scenarios.counts)) for count in study.scenarios.counts)
+        # the error of the draws, which is taken off, is small beside what refits differ by with twice the departures
+        n = len(recorded.side)
+        drawn = min(max(_LEAST, min(2 * n, _ENOUGH), n), _MOST) if batch >= _USUAL_BATCH else _OF_SLOW
+        left, right = (math.ceil(drawn * count / sum(study.scenarios.counts)) for count in study.scenarios.counts)
         laws, limit = (laws_to_send(study.classes.values()), time_limit) if isolated else (b"", 0.0)
-        drawn = (left, right), study.scenarios.given, study.setup(), study.simulation.window
-        tasks = [RefitTask(tuple(designs), model, *drawn, laws, limit, i) for i in range(refits)]
+        how = (left, right), study.scenarios.given, study.setup(), study.simulation.window
+        tasks = [RefitTask(tuple(designs), model, *how, laws, limit, i) for i in range(refits)]
         progress.stage("refits of the model", refits)
         results = {}
         for task, result in run_works(executor, tasks):
