@@ -117,12 +117,11 @@ class Compiled:
             folder = Path(name)
             for file, text in (texts | {"check.c": render("check.c")}).items():
                 write_text(folder / file, text)
-            sources = sources_of(texts)
-            if not single:
-                external.compile_c(command, folder, *options, "-Os", "-c", "-fstack-usage", *sources)
-                self.size, self.stack = _sizes(folder)
+            external.compile_c(command, folder, *options, "-O2", "-fPIC", "-c", "-fstack-usage", *sources_of(texts))
+            self.size, self.stack = _sizes(folder)
+            objects = [path.name for path in folder.glob("*.o")]
             external.compile_c(
-                command, folder, *options, "-O2", "-fPIC", "-shared", *sources, "check.c", "-o", "ldc.so", "-lm"
+                command, folder, *options, "-O2", "-fPIC", "-shared", *objects, "check.c", "-o", "ldc.so", "-lm"
             )
             self.library: Any = self.ffi.dlopen(str(folder / "ldc.so"))
         self.state = int(self.library.ldc_size(1))
