@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.law_model import (
     KINK,
     Camera,
+    ComplexArray,
     LinearView,
     Loop,
     System,
@@ -72,30 +73,42 @@ class Margins(NamedTuple):
 def margins(open_loop: System, dt: float) -> Margins:
     """Margins of a stable loop with negative feedback.
 
-    L is evaluated from 0.001 rad/s to the Nyquist frequency. `control.stability_margins` finds the crossovers
-    there; its way through polynomials loses its digits to the double integrator and to a delay's many states. L is
-    real at the Nyquist frequency, which that routine cannot see as a crossing; it is added here.
+    L is evaluated from 0.001 rad/s to the Nyquist frequency, where it is real, and between points of that grid where it
+    crosses the unit circle or the negative real axis. The disk margin is the minimum of 2 |1 + L|/|1 - L|.
     """
-    import control
+    from scipy.optimize.elementwise import find_minimum, find_root
+
+    def loop(w: FloatArray) -> ComplexArray:
+        return np.asarray(open_loop.response(np.exp(1j * w * dt))[:, 0, 0])
+
+    def crossings(of: Callable[[ComplexArray], FloatArray]) -> tuple[FloatArray, ComplexArray]:
+        """Frequencies at which a function of L changes its sign, and L there."""
+        i = np.flatnonzero(np.diff(np.sign(of(L))))
+        w = find_root(lambda w: of(loop(w)), (omega[i], omega[i + 1])).x if i.size else np.zeros(0)
+        return w, loop(w)
+
+    def disk(L: ComplexArray) -> FloatArray:
+        return np.asarray(2.0 * np.abs(1.0 + L) / np.abs(1.0 - L))
 
     nyquist = math.pi / dt
     omega = np.geomspace(min(_LOWEST, 1e-3 * nyquist), nyquist, _FREQUENCIES)
-    L = open_loop.response(np.exp(1j * omega * dt))[:, 0, 0]
+    L = loop(omega)
     if not np.abs(L).max() > 1e-12:
         return Margins(math.inf, math.inf, math.inf, math.inf, 2.0, math.nan)
-    factors, phases, _, _, crossovers, _ = control.stability_margins(control.FRD(L, omega, smooth=True), returnall=True)
-    factors = np.append(factors, 1.0 / abs(L[-1])) if L[-1].real < 0 else factors
-    factors = 20.0 * np.log10(factors[np.isfinite(factors) & (factors > 0)])
-    phases = np.radians(phases)
-    system = control.ss(open_loop.A, open_loop.B, open_loop.C, open_loop.D, dt)
-    disk = control.disk_margins(system, omega[:: _FREQUENCIES // 250], skew=0.0)[0]
+    L[-1] = L[-1].real
+    real = np.append(crossings(np.imag)[1].real, L[-1].real)
+    factors = -20.0 * np.log10(-real[real < 0.0])
+    w_c, at = crossings(lambda L: np.abs(L) - 1.0)
+    phases = np.angle(-at)
+    i = min(max(int(disk(L).argmin()), 1), L.size - 2)
+    lowest = find_minimum(lambda w: disk(loop(w)), tuple(omega[i - 1 : i + 2, None])).f_x[0]
     return Margins(
         gain=float(factors[factors > 0].min(initial=math.inf)),
         gain_reduction=float((-factors[factors <= 0]).min(initial=math.inf)),
         phase=float(np.abs(phases).min(initial=math.inf)),
-        delay=float((np.mod(phases, 2.0 * math.pi) / crossovers).min(initial=math.inf)),
-        disk=float(disk),
-        crossover=float(crossovers.max()) if crossovers.size else math.nan,
+        delay=float((np.mod(phases, 2.0 * math.pi) / w_c).min(initial=math.inf)),
+        disk=float(np.fmin(lowest, disk(L).min())),
+        crossover=float(w_c.max()) if w_c.size else math.nan,
     )
 
 
@@ -107,7 +120,8 @@ def bandwidth(
     omega = np.geomspace(min(_LOWEST, 1e-3 * nyquist), _BEYOND * nyquist, 2 * _FREQUENCIES)
     x = np.linalg.solve(1j * omega[:, None, None] * np.eye(4) - A, np.asarray(B, dtype=complex)[None, :, None])[..., 0]
     # beyond the Nyquist frequency a sampled law repeats itself
-    K = controller.response(np.exp(1j * np.minimum(omega, nyquist) * dt))[:, 0, :5]
+    below, place = np.unique(np.minimum(omega, nyquist), return_inverse=True)
+    K = controller.response(np.exp(1j * below * dt))[place, 0, :5]
     gain = np.abs(np.einsum("mi,mi->m", K[:, :4], x) + K[:, 4]) / np.abs(1.0 + 1j * omega * lag)
     gain *= 1.0 if arms is None else np.abs(arms.response(np.asarray(1j * omega, dtype=np.complex128))[:, 0, 0])
     above = np.flatnonzero(gain >= 1.0)

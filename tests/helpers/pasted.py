@@ -15,6 +15,7 @@ import matplotlib.pyplot as plt
 from helpers import mdf, spmd, uah
 from helpers.cli import ROOT, csv_rows, good, ldc
 from helpers.planted import plant_recording
+from ldctoolkit import load_model
 
 STUDY = """
 name = "my"
@@ -69,6 +70,12 @@ def _model(path: Path) -> None:
     good("fit", "stand-in.parquet", "-o", path.name, "--components", 1, "--kind", "mixture", cwd=path.parent)
 
 
+def _large_model(path: Path) -> None:
+    """Of so many departures that none of them is kept."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    load_model("reference").save(path)
+
+
 def _study(path: Path) -> None:
     path.write_text(STUDY, encoding="utf-8")
 
@@ -90,9 +97,9 @@ STAND_INS: dict[str, Callable[[Path], object]] = {
     "drive.csv.gz": _recording, "recordings.csv.gz": _recording, "drive.csv": _recording, "logs": _logs,
     "trip.mf4": mdf.write_log, "map.toml": lambda path: path.write_text(mdf.MAP, encoding="utf-8"), "spmd": _spmd,
     "UAH-DRIVESET-v1": _uah, "departures.parquet": _departures,
-    "d.parquet": _departures, "m.json": _model, "out/spmd/model.json": _model, "my.toml": _study, "car.toml": _sheet,
-    "out": _results, "out/my": _results, "out/my-study": _results, "out/trigger-and-gains": _results,
-    "reference": _results,
+    "d.parquet": _departures, "m.json": _model, "out/spmd/model.json": _large_model, "my.toml": _study,
+    "car.toml": _sheet, "out": _results, "out/my": _results, "out/my-study": _results,
+    "out/trigger-and-gains": _results, "reference": _results,
 }  # fmt: skip
 """What stands for a file that a page takes for granted."""
 

@@ -283,7 +283,7 @@ from ldctoolkit.studies.study_file import load_study
 
 risk._STORE_EVERY = -1.0
 study = load_study("trigger-and-gains")
-risk.estimate_risk([study.designs[-1]], study, n=60_500, workers=2, directory=sys.argv[1])
+risk.estimate_risk([study.designs[-1]], study, n=3_700, chunk=500, workers=2, directory=sys.argv[1])
 """
 
 
@@ -296,9 +296,9 @@ def test_a_killed_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("risk.parts/.part-*.part"))) == 1
     assert len(list(tmp_path.glob("risk.parts/part-*"))) == 2
     assert not (tmp_path / "risk.json").exists()
-    design = REAL.designs[-1]
-    resumed = estimate_risk([design], REAL, n=60_500, workers=1, directory=tmp_path)
-    assert_same(resumed, estimate_risk([design], REAL, n=60_500, workers=2))
+    design, same = REAL.designs[-1], {"n": 3_700, "chunk": 500}
+    resumed = estimate_risk([design], REAL, **same, workers=1, directory=tmp_path)
+    assert_same(resumed, estimate_risk([design], REAL, **same, workers=2))
     assert not list(tmp_path.rglob(".*.part"))
 
 
@@ -312,14 +312,14 @@ seed=20260101)`, 40 minutes on two cores; 95 % intervals are within 0.1 %, 0.3 %
 
 @pytest.mark.slow
 def test_intervals_cover_the_truth() -> None:
-    """400 seeds of 5,000 departures; exact intervals cover at least as often as they say, and little more."""
+    """200 seeds of 5,000 departures; exact intervals cover at least as often as they say, and little more."""
     covered = dict.fromkeys(TRUTH, 0)
-    for seed in range(400):
+    for seed in range(200):
         risk = estimate_risk([TABLE_I], PAPER, n=5000, seed=seed, workers=1)
         for event, truth in TRUTH.items():
             found = risk.event(TABLE_I, event)
             covered[event] += found.low <= truth <= found.high
-    assert all(0.95 <= count / 400 <= 0.99 for count in covered.values()), covered
+    assert all(0.95 <= count / 200 <= 0.99 for count in covered.values()), covered
 
 
 # ------------------------------------------------------------------------------------------------ wrong input
