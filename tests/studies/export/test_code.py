@@ -54,10 +54,10 @@ LAWS: dict[str, Controller] = {
     "mpc": LinearMPC(),
     "mpc, soft": SOFT,
     "mpc, blocks": LinearMPC(horizon=30, blocks=8, e_y_max=0.5),
-    "nonlinear": NonlinearMPC(horizon=8),
-    "nonlinear, soft": NonlinearMPC(horizon=8, a_y_max=2.0, jerk_max=3.0, e_y_max=1.2),
-    "slow": Slow(horizon=8),
-    "held": Held(horizon=12),
+    "nonlinear": NonlinearMPC(horizon=5),
+    "nonlinear, soft": NonlinearMPC(horizon=5, a_y_max=2.0, jerk_max=3.0, e_y_max=1.2),
+    "slow": Slow(horizon=5),
+    "held": Held(horizon=6),
 }
 WITH_DRIVER: dict[str, Controller] = {
     "lqi, driver": LQI(conditioned=True),
@@ -538,12 +538,12 @@ def test_the_solver_finds_what_the_toolkit_finds(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mpc", "mpc, soft", "mpc, blocks"])
-def test_no_step_of_a_million_exceeds_the_bound(name: str) -> None:
+def test_no_step_of_many_exceeds_the_bound(name: str) -> None:
     code, rng, n = Code.of(LAWS[name], REALISTIC, 0.1), np.random.default_rng(7), 1000
     units, most, failed = Instances(code, n), 0, 0
     row = units.row
     sizes = {"e_y_rate": 2.0, "e_psi_rate": 0.3, "wheel": 0.05, "frame_e_y": 2.0, "frame_e_psi": 0.1, "e_y": 2.0}
-    for _ in range(200 if name == "mpc, soft" else 400):
+    for _ in range(100 if name == "mpc, soft" else 200):
         row["v"], row["line_left"], row["frame_new"] = rng.uniform(2.0, 80.0, n), 1.0, rng.random(n) > 0.3
         for field, size in sizes.items():
             row[field] = rng.normal(0.0, size * rng.choice([0.1, 1.0, 3.0]), n)
