@@ -40,6 +40,7 @@ results = ldc.run_study(ldc.study(ldc.NoControl, Offset, Offset(K=-0.05), y_s=0.
 """
 
 
+@pytest.mark.slow
 def test_a_law_of_a_script_or_notebook(tmp_path: Path) -> None:
     """A class in __main__ runs in worker processes and passes the contract."""
     assert len(OWN_LAW.strip().splitlines()) <= 8

@@ -55,7 +55,8 @@ def plant(folder: Path, *names: str) -> Path:
     return mark
 
 
-@pytest.mark.parametrize("by", ["module", pytest.param("command", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("by", ["module", "command"])
 def test_workers_and_their_trackers_import_nothing_from_the_working_directory(folder: Path, by: str) -> None:
     mark = plant(folder, "psutil", "multiprocessing", "loky", "cloudpickle")
     command = folder / "bin" / "ldc.py"  # like the installed one: its own folder comes first, not the working one
@@ -359,6 +360,7 @@ def test_names_of_300_characters(folder: Path, words: tuple[str, ...]) -> None:
     bad(*words, cwd=folder)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "darwin", reason="names are UTF-8 there")
 def test_paths_that_are_no_text(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name = os.fsdecode(b"st\xff")

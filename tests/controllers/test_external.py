@@ -201,6 +201,7 @@ def test_the_content_of_files_is_the_identity(fmu: Path, tmp_path: Path) -> None
     assert np.abs(simulate(after, SCENARIOS, y_s=0.1).S - before).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_a_study_with_workers_and_a_file_that_is_exchanged(tmp_path: Path) -> None:
     path = build(tmp_path / "ecu.fmu", VARIABLES, f"{WEIGHTED} return 0;")
     export_c(ldc.LQR(), Setup(), 0.1, tmp_path / "code", scenarios=make_scenarios(5), run_check=False)

@@ -341,6 +341,7 @@ def test_states_that_no_vehicle_has_give_finite_commands() -> None:
     assert (status == EventStatus.OK).all()
 
 
+@pytest.mark.slow
 def test_a_switch_takes_the_virtual_machine_and_commands_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     plant, x, preview, prev = situations(6, HORIZON, seed=1)
     designs = (

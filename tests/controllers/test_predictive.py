@@ -184,9 +184,8 @@ def study_of(*names: str, **counts: int) -> ldc.Study:
     return ldc.study("none", *designs, name="mine", plant=REALISTIC, seed=3, ranking=ranking, **counts)
 
 
-@pytest.mark.parametrize(
-    ("names", "each"), [(("corridor",), 4), pytest.param(tuple(SWEPT), 10, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("names", "each"), [(("corridor",), 4), (tuple(SWEPT), 10)])
 def test_a_study_has_the_same_bits_with_workers(names: tuple[str, ...], each: int, tmp_path: Path) -> None:
     with known(*LAWS):
         study = study_of(*names, left=each, right=each)
@@ -246,6 +245,7 @@ def test_a_killed_study_goes_on_where_it_was(tmp_path: Path) -> None:
     assert codes == [-signal.SIGKILL, -signal.SIGKILL, 0]
 
 
+@pytest.mark.slow
 def test_no_bit_depends_on_the_company() -> None:
     scenarios = make_scenarios(9)
     order = np.random.default_rng(4).permutation(9)

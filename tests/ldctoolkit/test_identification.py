@@ -125,6 +125,7 @@ def test_a_known_vehicle_is_identified(vehicle: VehicleParameters | None) -> Non
     np.testing.assert_allclose(found.yaw_response(22.0)(1j * omega), theirs(1j * omega), rtol=0.03)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
     hits = coverage(range(8), 0.0)
     assert min(hits.values()) >= 5

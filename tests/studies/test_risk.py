@@ -509,6 +509,7 @@ def test_no_probability_below_three_of_the_recorded_departures_is_shown(of_few: 
         assert (row["decided_by"], shown == (None, None)) == ("model" if rare else "recordings", rare)
 
 
+@pytest.mark.slow
 def test_what_lies_outside_of_the_recordings_and_on_refits_is_counted_as_driven_directly(
     few: ScenarioModel, of_few: Risk
 ) -> None:
@@ -534,6 +535,7 @@ def test_what_lies_outside_of_the_recordings_and_on_refits_is_counted_as_driven_
     assert shares.mean() == pytest.approx(np.mean(direct), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_trip_with_all_deep_departures_makes_the_interval_of_refits_wide() -> None:
     """Seven deep departures of one trip: as many independent ones would say more."""
     smooth = planted(kind="smoothed")

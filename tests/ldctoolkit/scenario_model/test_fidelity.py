@@ -95,6 +95,7 @@ def test_a_bad_model_is_called_bad(bad: ScenarioModel, fine: ScenarioModel) -> N
         )
 
 
+@pytest.mark.slow
 def test_the_check_of_other_departures(bad: ScenarioModel, fine: ScenarioModel) -> None:
     """Of as many fresh ones of the same kind; of too few none."""
     again = two_kinds(1500, seed=5)
@@ -147,6 +148,7 @@ def test_the_verdict_travels_with_the_file(bad: ScenarioModel, tmp_path: Path) -
     assert back.content_hash == bad.content_hash
 
 
+@pytest.mark.slow
 def test_terminal_page_and_study_say_that_a_model_is_bad(bad: ScenarioModel, tmp_path: Path) -> None:
     write_departures(tmp_path / "d.parquet", two_kinds(150), Provenance(criteria=CRITERIA))
     done = ldc("fit", "d.parquet", "-o", "m.json", "--components", "1", cwd=tmp_path)
@@ -200,6 +202,7 @@ def test_a_condition_outside_the_data_is_warned_of_with_their_range(fine: Scenar
     assert abs(int(match[3]) - int((v > 24.0).sum())) <= 2
 
 
+@pytest.mark.slow
 def test_real_recordings(ngsim_recordings: Path) -> None:
     """K = 1 misleads on both sides; the default gives the recordings' answer (NGSIM US-101)."""
     recorded = extract_departures(open_recordings(ngsim_recordings), vehicle_width=1.8)
@@ -330,7 +333,8 @@ def test_held_out_halves(bad: ScenarioModel, fine: ScenarioModel) -> None:
     assert fit_scenario_model(made, components=1, extraction=CRITERIA).provenance.left.held_out == ()
 
 
-@pytest.mark.parametrize("kind", [pytest.param("mixture", marks=pytest.mark.slow), "smoothed"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["mixture", "smoothed"])
 def test_neither_seed_nor_order_chooses(kind: Literal["mixture", "smoothed"]) -> None:
     """Of few departures: the same bits of model and check whatever the seed and the order of the rows."""
     made, weight = in_trips(100, seed=4, per_trip=9), 1.0 + 2.0 * (np.arange(200) % 3 == 0)
@@ -353,6 +357,7 @@ def test_neither_seed_nor_order_chooses(kind: Literal["mixture", "smoothed"]) ->
     assert checks[0] == checks[1]
 
 
+@pytest.mark.slow
 def test_a_component_of_hardly_any_departures_is_not_taken() -> None:
     """Five far off the others make a component of a mixture, which BIC prefers."""
     made = two_kinds(150)

@@ -173,6 +173,7 @@ def test_wrong_settings(departures, setting, path):
         fit_scenario_model(departures(40), components=1, **setting)
 
 
+@pytest.mark.slow
 def test_what_runs_the_fits_may_be_passed_in(departures):
     """As `map`; with few departures K are fitted one after the other, and nothing else is asked."""
     calls = []

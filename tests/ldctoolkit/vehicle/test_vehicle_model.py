@@ -83,6 +83,7 @@ def test_a_scenario_is_driven_by_itself(car: ldc.VehicleModel) -> None:
     np.testing.assert_array_equal(simulate(ldc.LQR(), scenarios.take(rows), y_s=0.3, setup=setup).S, both[0][rows])
 
 
+@pytest.mark.slow
 def test_states_of_ones_own_against_solve_ivp() -> None:
     """The paths between samples, by another integrator, with tyre forces that lag behind."""
     setup = Setup(options=PlantOptions(speed="profile"), vehicle_model=Car())

@@ -571,6 +571,7 @@ def test_single_precision_solves_what_double_solves() -> None:
     np.testing.assert_allclose(single["delta"], double["delta"], rtol=0.0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_departures_in_which_the_toolkit_gave_up_are_left_out() -> None:
     law = LinearMPC(horizon=8, delta_max=0.01, rate_max=0.02, a_y_max=0.5, jerk_max=0.5, e_y_max=0.5, solver="daqp")
     result = check(record(Code.of(law, REALISTIC, 0.1), load_model("reference").sample(25, 25, seed=3)), ["cc"])

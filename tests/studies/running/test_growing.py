@@ -170,6 +170,7 @@ def test_bounds_are_those_of_the_first_study_in_the_folder(tmp_path: Path, drive
     assert ldc.studies.read_manifest(tmp_path).extended == ("lqr: r_delta = 1250",)
 
 
+@pytest.mark.slow
 def test_an_extension_is_the_same_in_processes(tmp_path: Path) -> None:
     alone = ldc.run_study(swept(extend=2), workers=1)
     assert_same_results(ldc.run_study(swept(extend=2), tmp_path / "out", workers=2, block_size=1), alone)

@@ -36,6 +36,7 @@ def written(folder: Path, vehicle: str = 'vehicle = { model = "my_car.py:Car" }'
     return folder / "mine.toml"
 
 
+@pytest.mark.slow
 def test_an_edit_of_the_vehicle_is_run_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, out = written(tmp_path), tmp_path / "out"
     monkeypatch.chdir(tmp_path)

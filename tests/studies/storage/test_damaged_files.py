@@ -127,6 +127,7 @@ def readers(room: Path) -> dict[Path, Callable[[], Any]]:
     return found
 
 
+@pytest.mark.slow
 def test_damage_is_one_sentence_or_changes_no_number(room: Path, capfd: pytest.CaptureFixture[str]) -> None:
     read = readers(room)
     kinds = {path.name[: 5 if path.name.startswith("part-") else None] for path in read}
