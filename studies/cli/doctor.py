@@ -28,7 +28,7 @@ _LOOPS: Final = (  # what needs compiled loops; their module, functions, and sec
     ("linear laws, any plant", "simulation.kernel.entry", ("drive_any",), 15),
     ("other laws", "simulation.kernel.entry", ("begin", "go_on"), 30),
     ("vehicle models", "simulation.kernel.entry", ("begin", "go_on", "exchange"), 45),
-    ("linear MPC", "controllers._mpc_kernel", ("sweep",), 30),
+    ("linear MPC", "controllers._mpc_kernel", ("sweep", "assemble", "finish"), 30),
     ("fit of a model", "mixture._kernels", ("_pass",), 5),
 )
 _NOT_SHOWN: Final = ("bench", "dev", "docs", "export")  # extras: no command needs them, or its compiler has a line

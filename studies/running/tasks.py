@@ -271,4 +271,5 @@ def load_loops(laws: Iterable[str], scenarios: Scenarios, setup: Setup, y_s: flo
     with contextlib.suppress(LdcError):  # who needs these scenarios and this plant says what is wrong with them
         takeover = Takeover.build(scenarios.take(ends), setup, y_s=y_s)
         for name in sorted(names):
-            drive(controller_class(name)(), takeover, threads=1)
+            gains = {"horizon": 3, "always_solve": True} if name == "linear_mpc" else {}  # also what prepares its QPs
+            drive(controller_class(name)(**gains), takeover, threads=1)

@@ -134,3 +134,16 @@ def test_a_first_run_compiles_in_one_process_and_says_so(tmp_path: Path) -> None
     assert done.stderr == ""
     loops = {path.name.split(".")[3].split("-")[0] for path in (tmp_path / "cache").rglob("entry.*.nbi")}
     assert loops == {"drive_lanes"}
+
+
+@pytest.mark.slow
+def test_what_a_linear_mpc_needs_is_loaded_before_its_tasks() -> None:
+    """With what prepares quadratic programs, which many departures never need: workers would compile it each."""
+    code = (
+        "import ldctoolkit as ldc, ldctoolkit.controllers._mpc_kernel as kernel\n"
+        "from ldctoolkit.studies.running.tasks import load_loops\n"
+        "load_loops(['linear_mpc'], ldc.load_model('reference').sample(9, 9, seed=1), ldc.Setup(), 0.1)\n"
+        "print(*(len(getattr(kernel, name).signatures) for name in ('sweep', 'assemble', 'finish')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True)
+    assert done.stdout == "1 1 1\n"
