@@ -52,7 +52,7 @@ class System:
         block = max(1, _ENTRIES // k**2)
         parts = [
             np.linalg.solve(z[i : i + block, None, None] * np.eye(k) - self.A, self.B[None].astype(np.complex128))
-            for i in range(0, z.size, block)
+            for i in range(0, max(z.size, 1), block)
         ]
         return np.asarray(self.C @ np.concatenate(parts) + self.D)
 

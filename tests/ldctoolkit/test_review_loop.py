@@ -246,6 +246,30 @@ def test_a_delay_margin_is_the_delay_that_makes_the_loop_unstable(radius: float,
     assert (d - 1) * h < result.delay < d * h
 
 
+@pytest.mark.filterwarnings("error")
+def test_margins_of_random_loops_are_those_of_a_fine_grid() -> None:
+    """Among them loops without a crossing, of which nothing but the disk margin is finite."""
+    rng, dt, without, count = np.random.default_rng(0), 0.05, 0, 0
+    z = np.exp(1j * np.linspace(1e-3 * dt, math.pi, 50_001))
+    while count < 30:
+        k, g = int(rng.integers(1, 9)), 10.0 ** rng.uniform(-1.0, 0.5)
+        A, B, C = rng.normal(size=(k, k)), g * rng.normal(size=(k, 1)), rng.normal(size=(1, k))
+        A *= rng.uniform(0.3, 1.02) / np.abs(np.linalg.eigvals(A)).max()
+        if np.abs(np.linalg.eigvals(A - B @ C)).max() > 0.999:
+            continue
+        result = margins(System(A, B, C, np.zeros((1, 1))), dt)
+        L = (C @ np.linalg.solve(z[:, None, None] * np.eye(k) - A, B[None].astype(complex)))[:, 0, 0]
+        real, unit = np.flatnonzero(np.diff(np.sign(L.imag))), np.flatnonzero(np.diff(np.sign(np.abs(L) - 1.0)))
+        at = np.append(L.real[real], L.real[-1])
+        factors = -20.0 * np.log10(-at[at < 0.0])
+        assert result.gain == pytest.approx(factors[factors > 0.0].min(initial=math.inf), abs=0.02)
+        assert result.gain_reduction == pytest.approx((-factors[factors <= 0.0]).min(initial=math.inf), abs=0.02)
+        assert result.phase == pytest.approx(np.abs(np.angle(-L[unit])).min(initial=math.inf), abs=5e-3)
+        assert result.disk == pytest.approx((2.0 * np.abs(1.0 + L) / np.abs(1.0 - L)).min(), rel=1e-3)
+        without, count = without + (unit.size == 0), count + 1
+    assert 5 < without < 25
+
+
 def test_no_loop_has_no_bounds() -> None:
     result = margins(System(np.eye(1), np.zeros((1, 1)), np.eye(1), np.zeros((1, 1))), 0.1)
     assert (result.gain, result.phase, result.delay) == (math.inf,) * 3
