@@ -82,7 +82,7 @@ def margins(open_loop: System, dt: float) -> Margins:
         """Frequencies at which a function of L changes its sign, and L there."""
         i = np.flatnonzero(np.diff(np.sign(of(L))))
         w = find_root(lambda w: of(loop(w)), (omega[i], omega[i + 1])).x if i.size else np.zeros(0)
-        w = w[np.isfinite(w)]  # without those that only rounding shows
+        w = w[np.isfinite(w)]  # a change of sign that is rounding has no root
         return w, loop(w)
 
     def disk(L: ComplexArray) -> FloatArray:

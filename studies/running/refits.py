@@ -101,7 +101,7 @@ def scores_of_refits(
     if recorded is not None and batch < _SLOW_BATCH:
         text = "its law takes too long to be driven on refits of the model"
     elif recorded is not None:
-        # the error of the draws, which is taken off, is small beside what refits differ by with twice the departures
+        # with twice as many as were recorded, the sampling error of the draws is small beside the spread of the refits
         n = len(recorded.side)
         drawn = min(max(_LEAST, min(2 * n, _ENOUGH), n), _MOST) if batch >= _USUAL_BATCH else _OF_SLOW
         left, right = (math.ceil(drawn * count / sum(study.scenarios.counts)) for count in study.scenarios.counts)

@@ -283,7 +283,7 @@ def test_without_fmpy(fmu: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         return real(name, *rest)
 
     with zipfile.ZipFile(fmu, "a") as packed:
-        packed.comment = b"one that was not read before: what was is kept by its content"
+        packed.comment = b"content that no other test has read"
     monkeypatch.setattr(builtins, "__import__", fails)
     with pytest.raises(LdcError) as caught:
         ldc.FmuLaw(fmu, IN, name="x")

@@ -286,7 +286,7 @@ def test_what_cannot_be_fetched_is_one_sentence(
         ),
         (b"<html>log in</html>", "no table DataLane"),
     ],
-    ids=["another table", "damaged", "a page"],  # an archive holds the moment: two processes would name two tests
+    ids=["another table", "damaged", "a page"],  # an archive holds the time: two workers would collect other names
 )
 def test_what_holds_no_table_is_one_sentence(
     server: Server, tmp_path: Path, content: bytes, message: str, capsys: pytest.CaptureFixture[str]
